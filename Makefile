@@ -1,0 +1,66 @@
+# Needs python3 (3.10 or newer) and make; everything else goes into .venv.
+PYTHON ?= python3
+VENV ?= .venv
+OUT ?= out/
+PYTEST_ARGS ?=
+
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
+
+.PHONY: help demo test test-slow lint format typecheck bench clean
+
+help:
+	@echo "make demo       plan and certify a retraction of configs/scenes/ten_veins.yaml into $(OUT)"
+	@echo "make test       run the tests;  make test-slow: the slow ones too"
+	@echo "make lint       ruff;  make format: ruff, rewriting;  make typecheck: mypy"
+	@echo "make bench      measure speed and accuracy"
+	@echo "make clean      remove $(VENV) and caches"
+	@echo "PYTHON=/path/to/python3 chooses the interpreter"
+
+demo: $(VENV)/.installed
+	$(BIN)/retract plan configs/scenes/ten_veins.yaml --out $(OUT)
+
+test: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest $(PYTEST_ARGS)
+
+test-slow: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest -m "slow or not slow" $(PYTEST_ARGS)
+
+lint: $(VENV)/.installed-dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+format: $(VENV)/.installed-dev
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+typecheck: $(VENV)/.installed-dev
+	$(BIN)/mypy
+
+bench: $(VENV)/.installed-dev
+	$(BIN)/python -m benchmarks
+
+clean:
+	rm -rf $(VENV) build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# Stamps: an install is repeated only after one of these files changed.
+$(VENV)/.installed: $(VENV)/.created pyproject.toml constraints.txt
+	@echo "installing into $(VENV), some minutes the first time"
+	@$(PIP) install --quiet --constraint constraints.txt --editable .
+	@touch $@
+
+$(VENV)/.installed-dev: $(VENV)/.created pyproject.toml constraints.txt
+	@echo "installing into $(VENV) with the developers' tools, some minutes the first time"
+	@$(PIP) install --quiet --constraint constraints.txt --editable ".[dev]"
+	@touch $(VENV)/.installed $@
+
+$(VENV)/.created:
+	@command -v $(PYTHON) > /dev/null || \
+	  { echo "error: $(PYTHON) not found; set PYTHON=/path/to/python3" >&2; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' || \
+	  { echo "error: Python 3.10 or newer is needed, $(PYTHON) is $$($(PYTHON) -V 2>&1); set PYTHON=/path/to/python3" >&2; exit 1; }
+	@$(PYTHON) -m venv $(VENV) || \
+	  { echo "error: $(PYTHON) cannot make virtual environments; on Debian: apt install python3-venv" >&2; rm -rf $(VENV); exit 1; }
+	@$(PIP) install --quiet "pip>=23"
+	@touch $@

@@ -1,0 +1,283 @@
+"""The pieces that the still picture and the animation share: flap, jaws, surroundings, histories. Lengths drawn in mm."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.collections import TriMesh
+from matplotlib.colors import Colormap, ListedColormap
+from matplotlib.lines import Line2D
+from matplotlib.markers import MarkerStyle
+from matplotlib.patches import Polygon, Rectangle
+from matplotlib.patheffects import withStroke
+from matplotlib.transforms import Affine2D
+from matplotlib.tri import Triangulation
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from planners.certify import Certificate
+    from retract_env.mesh import SectionMesh
+    from retract_env.physics.base import TissueState
+    from retract_env.scene import Scene
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.intp]
+
+MM = 1e3
+
+# Okabe and Ito's colours, told apart by every kind of colour vision; the strain map is magma, pale where relaxed.
+INK, GREY, STEEL = "#22282e", "#6d757d", "#39444f"
+TISSUE, VEIN, VEIN_EDGE = "#f7e1d3", "#9fcdea", "#1b3a5c"
+SIGHT, VALUE, LIMIT = "#00805f", "#0072b2", "#d55e00"
+STYLE: dict[str, Any] = {
+    "font.family": "DejaVu Sans", "font.size": 9.5, "axes.edgecolor": GREY, "axes.labelcolor": INK, "axes.linewidth": 0.8,
+    "axes.spines.top": False, "axes.spines.right": False, "axes.titlelocation": "left", "axes.titlesize": 9.5,
+    "axes.titlecolor": INK, "text.color": INK, "xtick.color": GREY, "ytick.color": GREY, "xtick.labelsize": 8.5,
+    "ytick.labelsize": 8.5, "hatch.linewidth": 0.6, "axes.unicode_minus": True, "figure.facecolor": "white",
+    "axes.axisbelow": True, "savefig.bbox": None, "text.usetex": False, "path.simplify": True,
+}  # fmt: skip
+NOTE_BOX = {"boxstyle": "round,pad=0.25", "facecolor": "white", "edgecolor": "none", "alpha": 0.9}
+BED_MM, WALL_MM, FINGER_MM = 4.0, 6.0, 7.0
+
+_SMALL = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])  # a quadratic triangle as four plain ones
+_EDGES = np.array([[0, 3, 1], [1, 4, 2], [2, 5, 0]])
+
+
+def strain_map(fade: float = 0.0) -> Colormap:
+    """Perceptually uniform colours from relaxed (pale) to the limit (dark); fade in [0, 1] blends them with white."""
+    colours = colormaps["magma_r"](np.linspace(0.02, 0.86, 256))
+    colours[:, :3] += fade * (1.0 - colours[:, :3])
+    return ListedColormap(colours, name=f"strain{fade:g}")
+
+
+class SectionTopology:
+    """What is drawn of a section mesh, whatever its shape now.
+
+    nodes: (v,) node of each drawn vertex; faces: (4 m, 3) vertices, or (m, 3) with straight edges, which draws three times
+    faster and differs by less than a pixel where an element is small beside the flap's curvature; outline: (k,) boundary nodes from the foot of the
+    fixed end along the lower surface and round; vein_edges: (e, 3) nodes along the outlines of the veins.
+    """
+
+    def __init__(self, section: SectionMesh, straight: bool = False) -> None:
+        triangles, vein = np.asarray(section.triangles), np.asarray(section.vein)
+        count = len(section.points)
+        # Strain jumps between vein and tissue, so a node on a vein's outline is drawn as two vertices.
+        sided = triangles + count * (vein >= 0)[:, None]
+        vertices, self._vertex = np.unique(sided, return_inverse=True)
+        self._vertex = self._vertex.reshape(triangles.shape)
+        self.nodes: Ints = vertices % count
+        self.faces: Ints = self._vertex[:, :3] if straight else self._vertex[:, _SMALL].reshape(-1, 3)
+        edges = triangles[:, _EDGES].reshape(-1, 3)
+        inside = np.repeat(vein, 3)
+        keys = np.column_stack((inside, edges[:, 1]))[inside >= 0]
+        _, first, times = np.unique(keys, axis=0, return_index=True, return_counts=True)
+        self.vein_edges: Ints = edges[inside >= 0][np.sort(first[times == 1])]
+        self.outline: Ints = _loop(np.asarray(section.points), np.asarray(section.boundary))
+
+    def smooth(self, strain: Array) -> Array:
+        """(v,) strain at the drawn vertices: mean of the (m,) triangles around each, on its side of a vein's outline."""
+        flat = self._vertex.ravel()
+        return np.asarray(np.bincount(flat, np.repeat(strain, 6)) / np.bincount(flat), dtype=np.float64)
+
+
+def _loop(points: Array, boundary: Ints) -> Ints:
+    after = {int(a): (int(b), int(middle)) for a, middle, b in boundary}
+    corners = np.array(list(after))
+    node = int(corners[np.argmax(points[corners, 0] - points[corners, 1])])
+    loop = [node]
+    for _ in after:
+        node, middle = after[node]
+        loop += [middle, node]
+    # The edges run counter-clockwise, up the fixed end first; backwards they follow the lower surface first.
+    return np.array(loop[::-1], dtype=np.intp)
+
+
+class FlapArtist:
+    """One flap, coloured by strain up to `limit`, its outline and its veins; show() moves it to another state."""
+
+    def __init__(
+        self, axes: Axes, topology: SectionTopology, limit: float, fade: float = 0.0, zorder: float = 3.0
+    ) -> None:
+        self._topology = topology
+        zeros = np.zeros(len(topology.nodes))
+        self._triangulation = Triangulation(zeros, zeros, topology.faces)
+        self.mesh = TriMesh(self._triangulation, cmap=strain_map(fade), zorder=zorder)
+        self.mesh.set_clim(0.0, limit)
+        self.mesh.set_array(zeros)
+        soft = 1.0 - 0.7 * fade
+        self.veins = Line2D([], [], color=VEIN_EDGE, linewidth=0.9 * soft, alpha=soft, solid_capstyle="round", zorder=zorder + 0.1)
+        self.outline = Line2D([], [], color=INK, linewidth=1.1 * soft, alpha=soft, solid_joinstyle="round", zorder=zorder + 0.2)
+        self.artists = (self.mesh, self.veins, self.outline)
+        axes.add_collection(self.mesh, autolim=False)
+        axes.add_line(self.veins)
+        axes.add_line(self.outline)
+
+    def show(self, state: TissueState) -> None:
+        """Draw this state from now on."""
+        points = np.asarray(state.points) * MM
+        self._triangulation.x, self._triangulation.y = points[self._topology.nodes].T
+        self.mesh.set_array(self._topology.smooth(np.asarray(state.strain)))
+        edges = points[self._topology.vein_edges]
+        gaps = np.full((len(edges), 1, 2), np.nan)  # one line with gaps draws far faster than many short ones
+        self.veins.set_data(*np.concatenate((edges, gaps), axis=1).reshape(-1, 2).T)
+        self.outline.set_data(*points[self._topology.outline].T)
+
+
+class JawArtist:
+    """Two rounded pads, one jaw patch wide, on the outside of the tissue, and the gripper's fingers behind them."""
+
+    def __init__(self, axes: Axes, width: float, fade: float = 0.0, zorder: float = 5.0) -> None:
+        half, thick = width * MM / 2, 0.8
+        radius = 0.7 * min(half, thick)
+        turn = np.linspace(0.0, np.pi / 2, 7)[:, None]
+        corner = radius * np.hstack((np.cos(turn), np.sin(turn))) + (half - radius, thick - radius)
+        mirrored = corner[::-1] * (-1, 1)
+        self._pad = np.vstack(([(half, 0.0)], corner, mirrored, [(-half, 0.0)]))
+        narrow, wide = 0.22, 0.5
+        self._finger = np.array(
+            [(narrow, thick - 0.1), (wide, FINGER_MM / 2), (wide, FINGER_MM), (-wide, FINGER_MM), (-wide, FINGER_MM / 2), (-narrow, thick - 0.1)]
+        )
+        colour, alpha = STEEL, 1.0 - fade
+        edge = {"edgecolor": "white", "linewidth": 0.6, "alpha": alpha, "closed": True}
+        blank = np.zeros((1, 2))
+        self.pads = [Polygon(blank, facecolor=INK, zorder=zorder + 0.1, **edge) for _ in range(2)]
+        self.fingers = [Polygon(blank, facecolor=colour, zorder=zorder, **edge) for _ in range(2)] if fade == 0 else []
+        for patch in (*self.fingers, *self.pads):
+            axes.add_patch(patch)
+        above = Rectangle((-1e4, 0.0), 2e4, 1e4, transform=axes.transData)
+        for finger in self.fingers:  # the bed hides what reaches below it
+            finger.set_clip_path(above)
+        self.artists = (*self.fingers, *self.pads)
+
+    def show(self, jaws: Array) -> None:
+        """jaws: (4,) m, x1, y1, x2, y2 of the lower and the upper jaw."""
+        ends = np.asarray(jaws, dtype=np.float64).reshape(2, 2) * MM
+        axis = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+        across = np.array([axis[1], -axis[0]])
+        for side, (end, outward) in enumerate(zip(ends, (-axis, axis), strict=True)):
+            self.pads[side].set_xy(end + self._pad[:, :1] * across + self._pad[:, 1:] * outward)
+            if self.fingers:
+                self.fingers[side].set_xy(end + self._finger[:, :1] * across + self._finger[:, 1:] * outward)
+
+
+def hidden_area(outline: Array, camera: Sequence[float]) -> Array:
+    """(k, 2) polygon that the flap hides from the camera: under the flap, down to the bed y = 0.
+
+    outline: (n, 2) from the foot of the fixed end along the lower surface and round; camera: (2,), above the bed.
+    """
+    ax, ay = camera
+    below = outline[:, 1] < ay
+    drop = np.where(below, ay - outline[:, 1], 1.0)
+    hits = np.where(below, ax + (outline[:, 0] - ax) * ay / drop, np.inf)  # where the ray through a node meets the bed
+    touch = int(np.argmin(hits))
+    return np.vstack((outline[: touch + 1], [(hits[touch], 0.0)]))
+
+
+def view_limits(scene: Scene, frames: Sequence[TissueState]) -> tuple[float, float, float, float]:
+    """x0, x1, y0, y1 in mm that hold the flap in all frames, the jaws, bed and fixed end."""
+    tissue = scene.tissue
+    shapes = [np.asarray(f.points) for f in frames] + [np.asarray(f.jaws).reshape(2, 2) for f in frames]
+    spread = np.vstack([*shapes, [(-tissue.length, tissue.height)]])
+    spread = spread[np.isfinite(spread).all(axis=1)] * MM
+    (left, _), (right, top) = spread.min(axis=0), spread.max(axis=0)
+    width = max(right + 1.0, WALL_MM) - left + 3.0
+    return left - 3.0, left - 3.0 + width, -BED_MM, max(top + 5.0, 0.45 * width)
+
+
+def draw_surroundings(axes: Axes, scene: Scene, limits: tuple[float, float, float, float]) -> list[Line2D]:
+    """Bed, fixed end, line of sight AB, the region below it that tissue must leave, and the area of interest.
+
+    Returns what lies over the flap.
+    """
+    x0, x1, y0, y1 = limits
+    axes.set_xlim(x0, x1)
+    axes.set_ylim(y0, y1)
+    axes.set_aspect("equal")
+    axes.set_yticks([t for t in axes.get_yticks() if 0 <= t <= y1])
+    line, height = scene.line_of_sight, scene.tissue.height * MM
+    camera, target = np.array(line.camera) * MM, np.array(line.target) * MM
+    distance = float(np.linalg.norm(camera - target))
+    away = (camera - target) / distance
+    room = [(y1 - 2.0) / away[1], distance]
+    if away[0] < 0:
+        room.append((x0 + 2.0 - target[0]) / away[0])
+    end = target + min(room) * away
+    wedge = [target, target + 1e3 * away, (x0 - 1e3, 1e3), (x0 - 1e3, 0.0)]
+    axes.add_patch(Polygon(wedge, facecolor="#e3f1ec", edgecolor="none", zorder=0.5))
+    hatched: dict[str, Any] = {"facecolor": "#eceef0", "edgecolor": "#c9ced3", "hatch": "////", "linewidth": 0, "zorder": 2.4}
+    axes.add_patch(Rectangle((x0, y0), x1 - x0, -y0, **hatched))
+    axes.add_patch(Rectangle((0, 0), x1, height, **hatched))
+    axes.plot([x0, x1], [0, 0], color=GREY, linewidth=1.0, zorder=2.5)
+    first = -scene.tissue.length * MM
+    axes.plot([first, target[0]], [-0.4, -0.4], color=SIGHT, linewidth=4.0, solid_capstyle="butt", zorder=2.6)
+    bed_note(axes, (first + target[0]) / 2, "area of interest", SIGHT)
+    bed_note(axes, target[0], "B", SIGHT, weight="bold")
+    axes.text(x1 / 2, height / 2, "fixed\nend", ha="center", va="center", zorder=2.7, bbox=NOTE_BOX)
+    below = np.array([-away[1], away[0]]) if away[0] < 0 else np.array([-1.0, 0.0])
+    axes.text(
+        *(end - 1.5 * away + below), f"line of sight to camera A, {distance:.0f} mm from B", color=SIGHT, zorder=2.7,
+        rotation=-float(np.degrees(np.arctan2(away[1], -away[0]))), rotation_mode="anchor", ha="left", va="center",
+        path_effects=[withStroke(linewidth=3, foreground="white")],
+    )  # fmt: skip
+    tip = MarkerStyle("^", transform=Affine2D().rotate(float(np.arctan2(-away[0], away[1]))))
+    return [
+        *axes.plot([0, 0], [0, height], color=INK, linewidth=2.2, solid_capstyle="butt", zorder=4.5),
+        *axes.plot(*np.array([target, end]).T, color=SIGHT, linewidth=1.6, zorder=4.6),
+        *axes.plot(*end, marker=tip, color=SIGHT, markersize=8, zorder=4.6),
+        *axes.plot(target[0], 0.0, "o", color=SIGHT, markersize=6, markeredgecolor="white", zorder=4.7),
+    ]
+
+
+def bed_note(axes: Axes, x: float, text: str, colour: str, **look: Any) -> None:
+    """A word on the bed below x, mm."""
+    axes.text(x, -0.58 * BED_MM, text, color=colour, ha="center", va="center", zorder=2.7, bbox=NOTE_BOX, **look)
+
+
+def squeeze_end(frames: Sequence[TissueState]) -> int:
+    """Index of the last frame of the squeeze."""
+    return max(0, sum(f.progress <= 1.0 + 1e-9 for f in frames) - 1)
+
+
+def draw_histories(axes: Sequence[Axes], certificate: Certificate, colour: str = VALUE) -> list[tuple[Array, Array]]:
+    """Strain, needed friction and clearance over the increments with their limits, on three axes.
+
+    Returns the three drawn curves, (n,) increments and (n,) values; a friction without bound is drawn at the top.
+    """
+    frames = certificate.frames
+    steps = np.arange(len(frames), dtype=np.float64)
+    strain = np.array([f.max_strain for f in frames])
+    friction = np.array([np.max(f.required_friction) for f in frames])
+    clearance = np.array([f.clearance for f in frames]) * MM
+    friction_limit = certificate.friction_limit
+    top = 1.3 * max(friction_limit, np.max(friction, where=np.isfinite(friction), initial=0.0))
+    lifted = np.isinf(friction)
+    drawn = np.where(lifted, top, friction)
+    rows = (
+        ("Strain of the worst 1 %", strain, certificate.strain_limit, f"limit {certificate.strain_limit:g}"),
+        ("Friction needed to hold", drawn, friction_limit, f"limit {friction_limit:g}"),
+        ("Clearance to line AB, mm", clearance, 0.0, "in view above 0"),
+    )
+    turn = squeeze_end(frames)
+    for ax, (title, values, limit, text) in zip(axes, rows, strict=True):
+        ax.set_title(title, pad=5)
+        ax.axvspan(0, turn, facecolor="#eef0f2", zorder=0)
+        ax.axhline(limit, color=LIMIT, linewidth=1.3, linestyle=(0, (5, 3)), zorder=2)
+        ax.plot(steps, values, color=colour, linewidth=2.0, zorder=3, solid_capstyle="round")
+        last = max(len(frames) - 1, 1)
+        ax.set_xlim(0, 1.03 * last)
+        ax.set_xlabel("increment (shaded: squeeze)", labelpad=2)
+        low, high = min(float(np.nanmin(values)), 0.0), max(float(np.nanmax(values)), limit)
+        room = high - low or 1.0
+        ax.set_ylim(low - 0.08 * room if low < 0 else 0.0, high + 0.25 * room)
+        half = (len(values) + 1) // 2
+        gap = np.abs(np.nan_to_num(values - limit))
+        x, side = (0.02 * last, "left") if gap[:half].min() >= gap[-half:].min() else (last, "right")
+        ax.annotate(
+            text, (x, limit), xytext=(0, 3), textcoords="offset points", ha=side, va="bottom", color=LIMIT, fontsize=8.5,
+            path_effects=[withStroke(linewidth=2.5, foreground="white")], zorder=2.5,
+        )  # fmt: skip
+    return [(steps, values) for _, values, _, _ in rows]

@@ -1,0 +1,107 @@
+"""What every planner hands in, and how it says that it found nothing."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from planners.certify import Certificate
+from retract_env.grasp import Grasp, JawPath
+from retract_env.scene import Scene
+
+
+@dataclass
+class Candidate:
+    """One retraction that a planner tried, and what came of it."""
+
+    index: int
+    grasp: Grasp
+    path: JawPath
+    status: str = "waiting"
+    """waiting, squeezing, squeezed, moving, done"""
+    reason: str | None = None
+    """why it ended: a certificate's reason or "pruned"; None while under way"""
+    max_strain: float = math.nan
+    """eps_max so far"""
+    required_friction: float = math.nan
+    clearance: float = math.nan
+    """m"""
+    increments: int = 0
+    seconds: float = 0.0
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data without the path, which the planner can make again from the grasp."""
+
+        def number(x: float) -> float | str | None:
+            return None if math.isnan(x) else x if math.isfinite(x) else str(x)
+
+        return {
+            "grasp": {"x": self.grasp.x, "compression": self.grasp.compression, "score": number(self.grasp.score)},
+            "path": self.path.kind,
+            "reason": self.reason,
+            "max_strain": number(self.max_strain),
+            "required_friction": number(self.required_friction),
+            "clearance": number(self.clearance),
+            "increments": self.increments,
+        }
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A certified retraction: grasp and path, the certificate, and every candidate that was tried, best score first."""
+
+    scene: Scene
+    planner: str
+    grasp: Grasp
+    path: JawPath
+    certificate: Certificate
+    candidates: tuple[Candidate, ...]
+    timings: dict[str, float] = field(default_factory=dict, compare=False)
+    """s of work by kind, summed over threads; "total" is wall-clock"""
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data that `plan_from_json` reads back; timings stay out, so the same plan is the same file."""
+        return {
+            "scene": self.scene.dump(),
+            "planner": self.planner,
+            "grasp": {"x": self.grasp.x, "compression": self.grasp.compression},
+            "path": self.path.to_json(),
+            "resolution": self.certificate.mesh["resolution"],
+            "candidates": [c.to_json() for c in self.candidates],
+        }
+
+
+def plan_from_json(data: Mapping[str, Any]) -> tuple[Scene, Grasp, JawPath]:
+    """Scene, grasp and path of a plan's file. Raises ValueError, one line, for anything else."""
+    if not isinstance(data, Mapping) or not {"scene", "grasp", "path"} <= set(data):
+        raise ValueError("plan: allowed is an object with scene, grasp and path")
+    grasp = data["grasp"]
+    numbers = (int, float)
+    if not isinstance(grasp, Mapping) or not all(
+        isinstance(grasp.get(k), numbers) and not isinstance(grasp.get(k), bool) for k in ("x", "compression")
+    ):
+        raise ValueError("plan.grasp: allowed is an object with the numbers x and compression")
+    path = JawPath.from_json(data["path"])
+    return Scene.from_data(data["scene"]), Grasp(float(grasp["x"]), float(grasp["compression"])), path
+
+
+class NoPlan(Exception):
+    """No candidate was certified. The message counts the reasons: 9 candidates: 6 strain, 2 slip, 1 not_visible."""
+
+    def __init__(self, candidates: Sequence[Candidate], detail: str = ""):
+        self.candidates = tuple(candidates)
+        reasons = Counter(str(c.reason) for c in self.candidates)
+        listed = ", ".join(f"{n} {reason}" for reason, n in sorted(reasons.items(), key=lambda r: -r[1]))
+        super().__init__(f"{len(self.candidates)} candidates: {listed or 'nothing to try'}{detail}")
+
+
+class Planner(Protocol):
+    """A planner by name in PLANNERS."""
+
+    def __call__(
+        self, scene: Scene, *, resolution: str, workers: int | None, on_update: Callable[[Sequence[Candidate]], None] | None
+    ) -> Plan:
+        """Raises NoPlan."""

@@ -1,0 +1,126 @@
+"""From elements to one energy, one residual and one sparse tangent over the unknowns that are free."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from retract_env.fem import kernels
+from retract_env.fem.elements import ElementBlock
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+
+def block_triangle(na: int, nz: int) -> tuple[Ints, Ints]:
+    """Local row and column of each entry of an element tangent, in the order in which `kernels.tangent` visits them."""
+    counts = (na, na, nz)
+    offset = (0, na, 2 * na)
+    rows, cols = [], []
+    for i in range(3):
+        for k in range(i, 3):
+            a, b = np.meshgrid(np.arange(counts[i]), np.arange(counts[k]), indexing="ij")
+            keep = np.ones_like(a, bool) if i != k else b >= a
+            rows.append(offset[i] + a[keep])
+            cols.append(offset[k] + b[keep])
+    return np.concatenate(rows).astype(np.int32), np.concatenate(cols).astype(np.int32)
+
+
+class Assembly:
+    """Sums element energies, forces and tangents.
+
+    The vector u (n,) m holds every unknown, prescribed ones too; the tangent holds the free ones alone, as the upper triangle of a
+    symmetric CSR matrix (indptr, indices, values).
+    """
+
+    def __init__(self, blocks: Sequence[ElementBlock], size: int, free: Ints):
+        """free: sorted positions in u of the unknowns to solve for."""
+        self.blocks = tuple(blocks)
+        self.size = size
+        self.free = np.asarray(free, np.int32)
+        number = np.full(size, -1, np.int32)
+        number[self.free] = np.arange(len(self.free), dtype=np.int32)
+        keys = []
+        for block in self.blocks:
+            rows, cols = block_triangle(block.gxy.shape[3], block.gz.shape[3])
+            numbered = number[block.dofs]
+            keys.append(_keys(numbered, rows, cols, len(self.free)))
+        flat = np.concatenate([k.ravel() for k in keys])
+        unique = np.unique(flat[flat >= 0])
+        n = len(self.free)
+        self.indices = (unique % n).astype(np.int32)
+        self.indptr = np.searchsorted(unique, np.arange(n + 1, dtype=np.int64) * n).astype(np.int32)
+        self.targets = [_positions(k, self.indptr, self.indices, n) for k in keys]
+
+    def residual(self, u: Array) -> tuple[float, Array]:
+        """Elastic energy [J] and internal forces (n,) [N]; infinite energy where an element is inverted."""
+        out = np.zeros(self.size)
+        energy = 0.0
+        for block in self.blocks:
+            energy += kernels.residual(u, *block.arrays, out)
+        return energy, out
+
+    def tangent(self, u: Array) -> Array:
+        """Values [N/m] of the tangent's upper triangle over the free unknowns."""
+        values = np.zeros(len(self.indices))
+        for block, target in zip(self.blocks, self.targets, strict=True):
+            kernels.tangent(u, *block.arrays, target, values)
+        return values
+
+    def tangent_times(self, u: Array, v: Array) -> Array:
+        """The whole tangent at u, prescribed rows and columns too, applied to v (n,)."""
+        out = np.zeros(self.size)
+        for block in self.blocks:
+            kernels.tangent_times(u, v, *block.arrays, out)
+        return out
+
+    def stretches(self, u: Array) -> list[Array]:
+        """Principal stretches (ne, nq, 3) of each block, ascending."""
+        out = []
+        for block in self.blocks:
+            stretch = np.empty((*block.weight.shape, 3))
+            kernels.principal_stretches(u, block.gxy, block.gz, block.dofs, stretch)
+            out.append(stretch)
+        return out
+
+
+@njit(cache=True, nogil=True)
+def _keys(numbered, rows, cols, n):
+    """row * n + column of each element entry in the upper triangle, -1 where an unknown is prescribed."""
+    out = np.empty((len(numbered), len(rows)), np.int64)
+    for e in range(len(numbered)):
+        for s in range(len(rows)):
+            i = np.int64(numbered[e, rows[s]])
+            j = np.int64(numbered[e, cols[s]])
+            if i < 0 or j < 0:
+                out[e, s] = -1
+            else:
+                out[e, s] = min(i, j) * n + max(i, j)
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _positions(keys, indptr, indices, n):
+    """Where each key stands in the CSR arrays, by bisection in its row."""
+    out = np.empty(keys.shape, np.int32)
+    for e in range(keys.shape[0]):
+        for s in range(keys.shape[1]):
+            key = keys[e, s]
+            if key < 0:
+                out[e, s] = -1
+                continue
+            row = key // n
+            col = key - row * n
+            low = indptr[row]
+            high = indptr[row + 1] - 1
+            while low < high:
+                mid = (low + high) // 2
+                if indices[mid] < col:
+                    low = mid + 1
+                else:
+                    high = mid
+            out[e, s] = low
+    return out

@@ -1,0 +1,124 @@
+"""Finite elements: section triangles with six nodes, extruded over the depth.
+
+The flap is a prism that mirrors itself in the plane z = 0, so only z in [0, d/2] is meshed, in layers. In the first layer u_x and
+u_y are even in z and u_z is odd, and the basis says so: {1 - s^2, s^2} for u_x, u_y and {s} for u_z with s = z / z_1. That is the quadratic element of
+a full-depth layer with its symmetric half left out; it needs 5 unknowns a section node where the ordinary quadratic half layer
+needs 8, and it represents bending with its anticlastic curvature exactly. Further layers, for deep flaps, are ordinary
+quadratic ones, 18-node wedges.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+# Points in the unit triangle (barycentric l0, l1, l2) and weights that add up to 1/2; degree 2 and degree 4 (Dunavant 1985).
+_A, _B = 0.445948490915965, 0.091576213509771
+TRIANGLE_RULES = {
+    3: (
+        np.array([[2 / 3, 1 / 6, 1 / 6], [1 / 6, 2 / 3, 1 / 6], [1 / 6, 1 / 6, 2 / 3]]),
+        np.full(3, 1 / 6),
+    ),
+    6: (
+        np.array(
+            [[1 - 2 * _A, _A, _A], [_A, 1 - 2 * _A, _A], [_A, _A, 1 - 2 * _A],
+             [1 - 2 * _B, _B, _B], [_B, 1 - 2 * _B, _B], [_B, _B, 1 - 2 * _B]]
+        ),
+        np.repeat([0.223381589678011 / 2, 0.109951743655322 / 2], 3),
+    ),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class ElementBlock:
+    """Elements of one kind, as the kernels take them (see kernels.py for the shapes)."""
+
+    gxy: Array
+    gz: Array
+    weight: Array
+    mu: Array
+    lam: Array
+    dofs: Ints
+
+    @property
+    def arrays(self) -> tuple[Array, Array, Array, Array, Array, Ints]:
+        return self.gxy, self.gz, self.weight, self.mu, self.lam, self.dofs
+
+
+def lame(modulus: Array, poisson: Array) -> tuple[Array, Array]:
+    """Shear modulus mu and Lame's lambda [Pa] from Young's modulus [Pa] and Poisson's ratio."""
+    modulus, poisson = np.asarray(modulus, float), np.asarray(poisson, float)
+    return modulus / (2 * (1 + poisson)), modulus * poisson / ((1 + poisson) * (1 - 2 * poisson))
+
+
+def triangle6(points: Array, corners: Array) -> tuple[Array, Array, Array]:
+    """Quadratic shape functions on straight-sided triangles.
+
+    points: (p, 3) barycentric; corners: (m, 3, 2) m.
+    Returns values (p, 6), gradients (m, p, 2, 6) 1/m and twice the areas (m,) m^2.
+    """
+    low = points
+    values = np.concatenate([low * (2 * low - 1), 4 * low * np.roll(low, -1, axis=1)], axis=1)
+    d1, d2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    double_area = d1[:, 0] * d2[:, 1] - d1[:, 1] * d2[:, 0]
+    # grad l_i is the inward normal of the opposite edge over twice the area
+    edge = np.roll(corners, -2, axis=1) - np.roll(corners, -1, axis=1)
+    grad = np.stack([-edge[..., 1], edge[..., 0]], axis=1) / double_area[:, None, None]  # (m, 2, 3)
+    of_corner = np.einsum("mji,pi->mpji", grad, 4 * low - 1)
+    nxt = np.roll(low, -1, axis=1)
+    of_edge = 4 * (np.einsum("mji,pi->mpji", grad, nxt) + np.einsum("mji,pi->mpji", np.roll(grad, -1, axis=2), low))
+    return values, np.concatenate([of_corner, of_edge], axis=3), double_area
+
+
+def symmetric_depth(z1: float) -> tuple[Array, Array, Array, Array, Array]:
+    """Basis of the layer [0, z1] next to the plane of symmetry at its Gauss points.
+
+    Returns u_xy values and derivatives (p, 2), u_z values and derivatives (p, 1), weights (p,) m. The points are the
+    positive half of the four-point rule on [-z1, z1], exact to degree 7 for what is even.
+    """
+    s, w = np.polynomial.legendre.leggauss(4)
+    s, w = s[2:], w[2:] * z1
+    xy = np.stack([1 - s**2, s**2], axis=1)
+    dxy = np.stack([-2 * s, 2 * s], axis=1) / z1
+    return xy, dxy, s[:, None], np.full((2, 1), 1 / z1), w
+
+
+def quadratic_depth(thickness: float) -> tuple[Array, Array, Array, Array, Array]:
+    """Basis of an ordinary layer with three levels of nodes, in the form of `symmetric_depth`."""
+    s, w = np.polynomial.legendre.leggauss(3)
+    value = np.stack([s * (s - 1) / 2, 1 - s**2, s * (s + 1) / 2], axis=1)
+    slope = np.stack([s - 0.5, -2 * s, s + 0.5], axis=1) * (2 / thickness)
+    return value, slope, value, slope, w * thickness / 2
+
+
+def extruded_block(
+    corners: Array,
+    depth: tuple[Array, Array, Array, Array, Array],
+    dofs: Ints,
+    modulus: Array,
+    poisson: Array,
+    triangle_points: int = 3,
+) -> ElementBlock:
+    """Elements of one layer over all section triangles.
+
+    corners: (m, 3, 2) m; dofs: (m, 2 na + nz); modulus [Pa] and poisson: (m,).
+    """
+    points, tri_weights = TRIANGLE_RULES[triangle_points]
+    value, grad, double_area = triangle6(points, corners)
+    xy, dxy, z, dz, depth_weights = depth
+
+    def gradients(basis: Array, slope: Array) -> Array:
+        planar = np.einsum("mpjt,rl->mprjlt", grad, basis)
+        across = np.broadcast_to(np.einsum("pt,rl->prlt", value, slope), (len(corners), *planar.shape[1:3], *planar.shape[4:]))
+        both = np.concatenate([planar, across[:, :, :, None]], axis=3)
+        m, p, r = both.shape[:3]
+        return np.ascontiguousarray(both.reshape(m, p * r, 3, -1))
+
+    weight = np.einsum("m,p,r->mpr", double_area, tri_weights, depth_weights).reshape(len(corners), -1)
+    mu, lam = lame(modulus, poisson)
+    return ElementBlock(gradients(xy, dxy), gradients(z, dz), np.ascontiguousarray(weight), mu, lam, np.ascontiguousarray(dofs, np.int32))

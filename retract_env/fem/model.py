@@ -1,0 +1,126 @@
+"""A flap between jaws: elastic prism, gravity, bed, and the motion that the jaws prescribe."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from retract_env.fem.assembly import Assembly
+from retract_env.fem.prism import Prism
+from retract_env.mesh import SectionMesh
+from retract_env.scene import Scene
+
+Array = NDArray[np.float64]
+
+BED_STIFFNESS = 50.0
+"""Penalty of the bed per area, in E / h of the tissue."""
+
+
+class FlapModel:
+    """Potential energy of the flap for jaws that hold two rigid patches.
+
+    Displacements u (n,) m follow the numbering of Prism. Everything refers to the half depth.
+    """
+
+    def __init__(self, scene: Scene, section: SectionMesh, jaw_x: float | None, triangle_points: int = 3):
+        tissue = scene.tissue
+        self.scene, self.section, self.jaw_x = scene, section, jaw_x
+        self.prism = prism = Prism(section, scene, triangle_points)
+        every = np.arange(prism.levels)
+        held = np.flatnonzero(prism.z <= (scene.jaws.depth or tissue.depth) / 2 * (1 + 1e-9))
+        fixed = np.concatenate([prism.x(section.fixed, every), prism.y(section.fixed, every), prism.w(section.fixed, every[1:])])
+        self._patch_x = [prism.x(p, held) for p in section.patches]
+        self._patch_y = [prism.y(p, held) for p in section.patches]
+        self._patch_rest = [np.tile(section.points[p], (len(held), 1)) for p in section.patches]
+        self.driven = np.concatenate([*self._patch_x, *self._patch_y])
+        prescribed = np.zeros(prism.size, bool)
+        prescribed[fixed] = True
+        prescribed[self.driven] = True
+        self.free = np.flatnonzero(~prescribed).astype(np.int32)
+        self.assembly = Assembly(prism.blocks, prism.size, self.free)
+
+        self.load = np.zeros(prism.size)
+        share = prism.depth_weight[:, None] * prism.area
+        nodes = np.arange(len(section.points))
+        self.load[prism.y(nodes, every)] = -tissue.density * scene.gravity * share.ravel()
+
+        on_bed = ~np.isin(section.bottom, section.patches[0])
+        bed = section.bottom[on_bed]
+        self._bed = prism.y(bed, every) if scene.bed else np.empty(0, np.int32)
+        share = prism.depth_weight[:, None] * section.bottom_length[on_bed]
+        self._bed_stiffness = BED_STIFFNESS * tissue.modulus / tissue.height * share.ravel()[: len(self._bed)]
+        number = np.full(prism.size, -1)
+        number[self.free] = np.arange(len(self.free))
+        row = number[self._bed]
+        self._bed, self._bed_stiffness = self._bed[row >= 0], self._bed_stiffness[row >= 0]
+        self._bed_diagonal = self.assembly.indptr[row[row >= 0]]
+
+    def at_rest(self) -> Array:
+        """First guess for the flap on its bed: pressed in by its own weight, so that the bed already bears it."""
+        u = np.zeros(self.prism.size)
+        if len(self._bed):
+            tissue = self.scene.tissue
+            sunk = tissue.density * self.scene.gravity * tissue.height**2 / (BED_STIFFNESS * tissue.modulus)
+            every = np.arange(self.prism.levels)
+            heights = self.prism.y(np.arange(len(self.section.points)), every)
+            u[np.intersect1d(heights, self.free)] = -sunk
+        return u
+
+    def place_jaws(self, u: Array, jaws: Array) -> None:
+        """Write into u the displacement of both patches, rigid and perpendicular to the jaw axis.
+
+        jaws: (4,) m.
+        """
+        axis = jaws[2:] - jaws[:2]
+        axis = axis / np.hypot(*axis)
+        along = np.array([axis[1], -axis[0]])  # direction of the rest x axis
+        for k in range(2):
+            rest = self._patch_rest[k]
+            base = np.array([self.jaw_x, k * self.scene.tissue.height])
+            offset = rest - base
+            moved = jaws[2 * k : 2 * k + 2] + offset[:, :1] * along + offset[:, 1:] * axis
+            u[self._patch_x[k]] = moved[:, 0] - rest[:, 0]
+            u[self._patch_y[k]] = moved[:, 1] - rest[:, 1]
+
+    def residual(self, u: Array) -> tuple[float, Array]:
+        """Potential energy [J] and its gradient (n,) [N], forces that hold prescribed nodes included."""
+        energy, force = self.assembly.residual(u)
+        force -= self.load
+        energy -= self.load @ u
+        energy += _bed_force(u, self._bed, self._bed_stiffness, force)
+        return energy, force
+
+    def tangent(self, u: Array) -> Array:
+        """Upper triangle over the free unknowns."""
+        values = self.assembly.tangent(u)
+        down = u[self._bed] < 0
+        values[self._bed_diagonal[down]] += self._bed_stiffness[down]
+        return values
+
+    def tangent_times(self, u: Array, v: Array) -> Array:
+        out = self.assembly.tangent_times(u, v)
+        down = self._bed[u[self._bed] < 0]
+        out[down] += self._bed_stiffness[u[self._bed] < 0] * v[down]
+        return out
+
+    def reactions(self, force: Array) -> Array:
+        """(2, 2) N, force of the tissue on the lower and the upper jaw over the whole depth."""
+        return np.array([[-2 * force[self._patch_x[k]].sum(), -2 * force[self._patch_y[k]].sum()] for k in range(2)])
+
+    def positions(self, u: Array, level: int = 0) -> Array:
+        """(n, 2) m, section nodes of one depth level."""
+        columns = u.reshape(-1, self.prism.stride)[:, 2 * level : 2 * level + 2]
+        return self.section.points + columns
+
+
+@njit(cache=True, nogil=True)
+def _bed_force(u, bed, stiffness, force):
+    """Add the bed's push on nodes below y = 0; returns its energy."""
+    energy = 0.0
+    for i in range(len(bed)):
+        gap = u[bed[i]]
+        if gap < 0.0:
+            force[bed[i]] += stiffness[i] * gap
+            energy += 0.5 * stiffness[i] * gap * gap
+    return energy

@@ -1,0 +1,111 @@
+"""Equilibrium of a flap for given jaws: Newton's method that factorises as seldom as it can."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from retract_env.fem.linear import Factor, NotPositiveDefinite, cholesky
+from retract_env.fem.model import FlapModel
+
+Array = NDArray[np.float64]
+
+TOLERANCE = 2e-6
+"""Largest error of a nodal position that is left, over the flap's height (9 nm for the paper's flap)."""
+SLOW = 0.3
+"""Factorise anew once an iteration shrinks the residual by less than this."""
+
+
+class Diverged(ArithmeticError):
+    """No equilibrium was found."""
+
+
+class Equilibrium:
+    """Solves for the free unknowns of a model, keeping its factorisation from one call to the next."""
+
+    def __init__(self, model: FlapModel, max_iterations: int = 40):
+        self.model = model
+        self.max_iterations = max_iterations
+        self.factor: Factor = cholesky(model.assembly.indptr, model.assembly.indices)
+        self.fresh = False
+        self.usable = False
+        self.counts: Counter[str] = Counter()
+        self._diagonal = model.assembly.indptr[:-1]
+
+    def factorize(self, u: Array) -> None:
+        """Factorise the tangent at u, shifted until it is positive definite (then the step only descends)."""
+        values = self.model.tangent(u)
+        shift = 0.0
+        while True:
+            try:
+                self.counts["factorisations"] += 1
+                self.factor.factorize(values)
+                self.fresh = self.usable = True
+                return
+            except NotPositiveDefinite:
+                self.counts["shifts"] += 1
+                grown = max(10 * shift, 1e-3 * float(np.abs(values[self._diagonal]).mean()))
+                if not np.isfinite(grown) or self.counts["shifts"] > 1000:
+                    raise Diverged("tangent is not finite") from None
+                values[self._diagonal] += grown - shift
+                shift = grown
+
+    def step(self, u: Array, du_driven: Array) -> Array:
+        """First-order change of the free unknowns when the driven ones change by du_driven (n,), from the tangent at u."""
+        if not self.usable:
+            self.factorize(u)
+        force = self.model.tangent_times(u, du_driven)
+        du = du_driven.copy()
+        du[self.model.free] = -self.factor.solve(force[self.model.free])
+        return du
+
+    def solve(self, u: Array) -> tuple[Array, Array]:
+        """Equilibrium near u, whose prescribed unknowns stay as they are.
+
+        Returns u (n,) m and the forces (n,) N that hold the prescribed nodes. Raises Diverged.
+        """
+        free = self.model.free
+        tolerance = TOLERANCE * self.model.scene.tissue.height
+        u = u.copy()
+        energy, force = self.model.residual(u)
+        if not np.isfinite(energy):
+            raise Diverged("the first guess turns elements inside out")
+        norm = float(np.linalg.norm(force[free]))
+        self.fresh = False
+        if not self.usable:
+            self.factorize(u)
+        for _ in range(self.max_iterations):
+            self.counts["iterations"] += 1
+            du = -self.factor.solve(force[free])
+            slope = float(force[free] @ du)
+            length, size = 1.0, float(np.abs(du).max())
+            while True:
+                trial = u.copy()
+                trial[free] += length * du
+                trial_energy, trial_force = self.model.residual(trial)
+                trial_norm = float(np.linalg.norm(trial_force[free]))
+                sound = np.isfinite(trial_energy)
+                if sound and (trial_norm < 0.9 * norm or trial_energy <= energy + 1e-4 * length * slope):
+                    break
+                if size < 1e-3 * tolerance:  # at the limit of arithmetic
+                    return u, force
+                if not self.fresh:
+                    length = 0.0
+                    break
+                length *= 0.5
+                if length < 1e-6:
+                    raise Diverged("the line search found no lower energy")
+            if length == 0.0:  # the old factorisation misleads
+                self.factorize(u)
+                continue
+            rate = trial_norm / norm if norm > 0 else 0.0
+            u, energy, force, norm = trial, trial_energy, trial_force, trial_norm
+            if length == 1.0 and size * rate / max(1 - rate, 1e-3) < tolerance:
+                return u, force
+            if rate > SLOW or length < 1.0:
+                self.factorize(u)
+            else:
+                self.fresh = False
+        raise Diverged(f"no equilibrium in {self.max_iterations} iterations")

@@ -1,0 +1,158 @@
+"""The quasi-static finite-element physics: the flap in equilibrium with every pose of the jaws."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from retract_env.fem.model import FlapModel
+from retract_env.fem.solver import Diverged, Equilibrium
+from retract_env.grasp import to_jaws, to_pose
+from retract_env.mesh import RESOLUTIONS, Resolution, section_mesh
+from retract_env.objectives import clearance, required_friction, strain, worst_mean
+from retract_env.physics.base import TissueState
+from retract_env.scene import Scene
+
+Array = NDArray[np.float64]
+
+SMALLEST_CUT = 1 / 64
+"""Part of a step below which it is not cut any further."""
+MEMORY = 4
+"""Equilibria that the extrapolating predictor looks back on."""
+
+
+class FemPhysics:
+    """One flap between two jaws.
+
+    Raises Diverged where a pose has no equilibrium that can be reached from the one before; the state is then still the last good one.
+    """
+
+    def __init__(self, scene: Scene, jaw_x: float, resolution: str | Resolution = "fine"):
+        """jaw_x: m, where the jaws grasp."""
+        if isinstance(resolution, str):
+            if resolution not in RESOLUTIONS:
+                raise ValueError(f"resolution = {resolution!r}, allowed {', '.join(RESOLUTIONS)}")
+            resolution = RESOLUTIONS[resolution]
+        self.scene, self.resolution, self.jaw_x = scene, resolution, jaw_x
+        self.seconds: Counter[str] = Counter()
+        start = time.perf_counter()
+        self.section = section_mesh(scene, jaw_x, resolution)
+        self.seconds["mesh"] = time.perf_counter() - start
+        start = time.perf_counter()
+        self.model = FlapModel(scene, self.section, jaw_x)
+        self.equilibrium = Equilibrium(self.model)
+        self._volumes = np.concatenate([b.weight.ravel() for b in self.model.prism.blocks])
+        self.seconds["assembly"] = time.perf_counter() - start
+        self._history: list[tuple[float, Array]] = []
+        self.reset()
+
+    def reset(self) -> TissueState:
+        """The flap at rest on its bed, jaws touching it."""
+        height = self.scene.tissue.height
+        jaws = np.array([self.jaw_x, 0.0, self.jaw_x, height])
+        u = self.model.at_rest()
+        self.model.place_jaws(u, jaws)
+        self._pose = to_pose(jaws)
+        self._history.clear()
+        start = time.perf_counter()
+        self._u, self._force = self.equilibrium.solve(u)
+        self.seconds["equilibrium"] += time.perf_counter() - start
+        self._progress = 0.0
+        return self.state()
+
+    def move_to(self, pose: Array, progress: float | None = None) -> TissueState:
+        """Move the jaws straight to a pose (4,) x, y, theta, separation, cutting the step where it cannot be solved.
+
+        progress: where this is on a smooth path; equilibria of one path predict the next one. Without it the tangent does.
+        """
+        pose = np.asarray(pose, float)
+        start_pose, target = self._pose, progress
+        begin = self._progress
+        done, part = 0.0, 1.0
+        start = time.perf_counter()
+        try:
+            while done < 1.0:
+                share = min(done + part, 1.0)
+                at = None if target is None else begin + share * (target - begin)
+                try:
+                    self._solve(start_pose + share * (pose - start_pose), at)
+                except Diverged:
+                    part /= 2
+                    self._history.clear()
+                    if part < SMALLEST_CUT:
+                        raise
+                else:
+                    done = share
+        finally:
+            self.seconds["equilibrium"] += time.perf_counter() - start
+        self._pose = pose
+        return self.state()
+
+    def turn(self) -> None:
+        """Say that the path has a corner here: what came before does not predict what follows."""
+        self._history = self._history[-1:]
+
+    def _solve(self, pose: Array, progress: float | None) -> None:
+        jaws = to_jaws(pose)
+        u = None
+        if progress is not None and len(self._history) > 1:
+            u = self._extrapolate(progress)
+            self.model.place_jaws(u, jaws)
+            if not np.isfinite(self.model.residual(u)[0]):
+                u = None
+        if u is None:
+            moved = self._u.copy()
+            self.model.place_jaws(moved, jaws)
+            change = moved - self._u
+            self.equilibrium.factorize(self._u)
+            u = self._u + self.equilibrium.step(self._u, change)
+            self.model.place_jaws(u, jaws)  # rotation is not linear in the step
+        self._u, self._force = self.equilibrium.solve(u)
+        self._pose = pose
+        if progress is None:
+            self._history.clear()
+        else:
+            self._progress = progress
+            self._history = [h for h in self._history if h[0] != progress][1 - MEMORY :] + [(progress, self._u)]
+
+    def _extrapolate(self, progress: float) -> Array:
+        """Lagrange's polynomial through the last equilibria."""
+        at = np.array([p for p, _ in self._history])
+        u = np.zeros_like(self._u)
+        for i, (p, known) in enumerate(self._history):
+            others = np.delete(at, i)
+            u += known * float(np.prod((progress - others) / (p - others)))
+        return u
+
+    def state(self) -> TissueState:
+        """What there is to see and to feel now."""
+        start = time.perf_counter()
+        model, jaws = self.model, to_jaws(self._pose)
+        per_block = [strain(s) for s in model.assembly.stretches(self._u)]
+        strains = np.concatenate([s.ravel() for s in per_block])
+        weights = [b.weight for b in model.prism.blocks]
+        volume = np.sum([w.sum(axis=1) for w in weights], axis=0)
+        per_triangle = np.sum([(s * w).sum(axis=1) for s, w in zip(per_block, weights, strict=True)], axis=0) / volume
+        worst = max((float(s.max()), int(s.max(axis=1).argmax())) for s in per_block)[1]
+        axis = (jaws[2:] - jaws[:2]) / np.hypot(*(jaws[2:] - jaws[:2]))
+        normals = np.array([axis, -axis])
+        reactions = model.reactions(self._force)
+        line = self.scene.line_of_sight
+        levels = [model.positions(self._u, k) for k in range(model.prism.levels)]
+        state = TissueState(
+            points=levels[0],
+            strain=per_triangle,
+            jaws=jaws,
+            reactions=reactions,
+            normals=normals,
+            max_strain=worst_mean(strains, self._volumes),
+            worst_at=self.section.corners[worst].mean(axis=0),
+            required_friction=required_friction(reactions, normals),
+            clearance=min(clearance(p, line.camera, line.target) for p in levels),
+            progress=self._progress,
+        )
+        self.seconds["measures"] += time.perf_counter() - start
+        return state

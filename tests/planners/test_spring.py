@@ -1,0 +1,474 @@
+"""Spring model: exact sections, brute-force chords, symmetries, the stated special cases, energy balance."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import ArrayLike, NDArray
+
+from planners.spring import SpringModel, optimal_compression
+from retract_env.scene import Tissue, Vein
+
+Array = NDArray[np.float64]
+
+L, H = 0.05, 0.0044  # m, the paper's flap
+E, EV = 40e3, 200e3  # Pa, its tissue and veins
+COLUMNS = 64  # of the lattice of random outlines: keeps edges flatter than H / (L / 64)
+# A vertex may move by L / 2^41; edges of the lattice rise at most 5.7 times as fast, and a column crosses fewer than
+# 100 of them: 5e-9 H.
+LATTICE_TOLERANCE = 1e-8
+
+Outlines = list[Array]
+
+
+def box(x0: float, x1: float, y0: float = 0.001, y1: float = 0.003) -> Array:
+    return np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
+
+
+def flap(*outlines: ArrayLike, moduli: float | Sequence[float] = EV) -> SpringModel:
+    """The paper's flap with these veins."""
+    each = [moduli] * len(outlines) if isinstance(moduli, int | float) else moduli
+    return SpringModel.from_outlines(L, H, E, outlines, each)
+
+
+def random_veins(seed: int) -> tuple[Outlines, list[float]]:
+    """Concave, overlapping, touching, stiffer and softer veins with their x on a lattice, so with vertical edges."""
+    rng = np.random.default_rng(seed)
+    outlines: Outlines = []
+    wanted = rng.integers(1, 9)
+    while len(outlines) < wanted:
+        if rng.random() < 0.3:
+            columns = np.sort(rng.choice(COLUMNS + 1, 2, replace=False))
+            outline = box(*(-L + L * columns / COLUMNS), *np.sort(rng.choice(9, 2, replace=False) * H / 8))
+        else:  # a star about some centre
+            n = rng.integers(3, 16)
+            angle, reach = np.sort(rng.uniform(0, 2 * math.pi, n)), rng.uniform(0.1, 1, n)
+            x = rng.uniform(-L, 0) + rng.uniform(0.05, 0.4) * L * reach * np.cos(angle)
+            y = rng.uniform(0, H) + rng.uniform(0.1, 0.9) * H * reach * np.sin(angle)
+            x = np.clip(np.rint((x + L) / L * COLUMNS), 0, COLUMNS) * L / COLUMNS - L
+            outline = np.column_stack([x, np.clip(y, 0, H)])
+        if shapely.Polygon(outline).is_valid:
+            outlines.append(outline)
+    return outlines, [float(m) for m in rng.choice([E / 10, E, EV, EV, 5 * EV], wanted)]
+
+
+def brute_compliance(x: Array, outlines: Sequence[Array], moduli: Sequence[float]) -> Array:
+    """1/k_eq by cutting vertical lines with unions of veins, the stiffest first."""
+    lines = shapely.linestrings([[(at, -1.0), (at, 1.0)] for at in x])
+    covered, total = np.zeros(x.size), np.zeros(x.size)
+    for modulus in sorted(set(moduli), reverse=True):
+        union = shapely.union_all(
+            [shapely.Polygon(o) for o, m in zip(outlines, moduli, strict=True) if m >= modulus]
+        )
+        reach = shapely.length(shapely.intersection(lines, union))
+        total += (reach - covered) / modulus
+        covered = reach
+    return total + (H - covered) / E
+
+
+scenes = st.integers(0, 2**32 - 1).map(random_veins)
+few = settings(max_examples=60, deadline=None)
+
+
+# --- the compliance
+
+
+@few
+@given(scenes)
+def test_compliance_equals_the_chords_of_the_union_on_both_sides_of_every_knot(
+    veins: tuple[Outlines, list[float]],
+) -> None:
+    model = flap(*veins[0], moduli=veins[1])
+    gap = np.diff(model.knots)
+    first, second = (brute_compliance(model.knots[:-1] + f * gap, *veins) for f in (0.25, 0.75))
+    # linear between two knots: two points determine the values just inside both
+    tolerance = LATTICE_TOLERANCE * H / min(veins[1] + [E])
+    np.testing.assert_allclose(model.right[:-1], 1.5 * first - 0.5 * second, rtol=0, atol=tolerance)
+    np.testing.assert_allclose(model.left[1:], 1.5 * second - 0.5 * first, rtol=0, atol=tolerance)
+    middle = model.knots[:-1] + 0.5 * gap
+    np.testing.assert_allclose(model.compliance(middle), (first + second) / 2, rtol=0, atol=tolerance)
+    np.testing.assert_allclose(model.k_eq(middle) * model.compliance(middle), 1, rtol=1e-15)
+
+
+@few
+@given(scenes)
+def test_every_minimum_and_maximum_is_that_of_the_brute_force_curve(
+    veins: tuple[Outlines, list[float]],
+) -> None:
+    model = flap(*veins[0], moduli=veins[1])
+    basins = model.basins()
+    x = np.sort(np.concatenate([np.linspace(-L, 0, 3001)[1:-1] + 1e-7, model.knots[1:-1] - 1e-9]))
+    k = 1 / brute_compliance(x, *veins)
+    noise = 2 * LATTICE_TOLERANCE * k.max()
+    for basin in basins:
+        falling = k[(x > basin.left) & (x < basin.x - basin.width / 2)]
+        flat = k[(x > basin.x - basin.width / 2) & (x < basin.x + basin.width / 2)]
+        rising = k[(x > basin.x + basin.width / 2) & (x < basin.right)]
+        assert (np.diff(falling) <= noise).all()
+        assert (np.diff(rising) >= -noise).all()
+        np.testing.assert_allclose(flat, basin.k_eq, rtol=0, atol=noise)
+        beside = np.concatenate([falling, rising])
+        assert (beside >= basin.k_eq - noise).all()
+        assert (falling <= basin.k_left + noise).all()
+        assert (rising <= basin.k_right + noise).all()
+        assert basin.k_eq <= basin.k_n
+    # monotone within each basin and flat between two: no extremum is missing
+    assert basins[0].left == -L or (k[x < basins[0].left] >= basins[0].k_left - noise).all()
+    for here, there in zip(basins, basins[1:], strict=False):
+        assert here.k_right == there.k_left > max(here.k_eq, there.k_eq)
+        assert here.right <= there.left
+        top = k[(x > here.right) & (x < there.left)]
+        np.testing.assert_allclose(top, here.k_right, rtol=0, atol=noise)
+
+
+def test_rectangle_by_hand() -> None:
+    model = flap(box(-0.03, -0.02))
+    soft, stiff = H / E, (H - 0.002) / E + 0.002 / EV
+    np.testing.assert_array_equal(model.knots, [-L, -0.03, -0.02, 0])
+    np.testing.assert_allclose(model.left, [soft, soft, stiff, soft], rtol=1e-15)
+    np.testing.assert_allclose(model.right, [soft, stiff, soft, soft], rtol=1e-15)
+    np.testing.assert_allclose(
+        model.k_eq([-0.03, -0.025, -0.02]), 1 / stiff, rtol=1e-15
+    )  # stiffer at the jump
+    np.testing.assert_allclose(model.k_eq([-L, -0.0300001, -0.0199999, 0]), 1 / soft, rtol=1e-15)
+
+
+def test_triangle_and_trapezoid_by_hand() -> None:
+    # chord: 0 to 2 mm over 5 mm, back to 0 over 1 mm; then 0 to 1 mm over 2 mm, level for 2 mm, back over 4 mm
+    triangle = [(-0.04, 0.001), (-0.034, 0.001), (-0.035, 0.003)]
+    trapezoid = [(-0.02, 0.002), (-0.012, 0.002), (-0.016, 0.003), (-0.018, 0.003)]
+    model = flap(triangle, trapezoid)
+    x = np.array([-0.04, -0.0375, -0.035, -0.0345, -0.034, -0.019, -0.018, -0.0165, -0.014, -0.012])
+    chord = np.array([0, 1, 2, 1, 0, 0.5, 1, 1, 0.5, 0]) * 1e-3
+    np.testing.assert_allclose(model.compliance(x), (H - chord) / E + chord / EV, rtol=1e-12)
+    between = model.basins()[1]
+    assert between.x == pytest.approx(-0.027, rel=1e-12)
+    assert between.width == pytest.approx(0.014, rel=1e-12)
+    assert (between.left, between.right) == (-0.035, -0.018)
+    assert between.k_left == pytest.approx(1 / ((H - 0.002) / E + 0.002 / EV), rel=1e-12)
+    assert between.k_right == between.k_n == pytest.approx(1 / ((H - 0.001) / E + 0.001 / EV), rel=1e-12)
+    assert between.escape == pytest.approx(between.k_right - E / H, rel=1e-12)
+
+
+@few
+@given(scenes, st.integers(0, 2**32 - 1))
+def test_the_way_an_outline_is_written_does_not_matter(
+    veins: tuple[Outlines, list[float]], seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    outlines, moduli = veins
+    written = []
+    for outline in outlines:
+        turned = np.roll(outline[:: rng.choice([-1, 1])], rng.integers(len(outline)), axis=0)
+        written.append(np.vstack([turned, turned[:1]]) if rng.random() < 0.5 else turned)
+    order = rng.permutation(len(outlines))
+    x = rng.uniform(-L, 0, 200)
+    np.testing.assert_allclose(
+        flap(*(written[i] for i in order), moduli=[moduli[i] for i in order]).compliance(x),
+        flap(*outlines, moduli=moduli).compliance(x),
+        rtol=LATTICE_TOLERANCE,
+    )
+
+
+@few
+@given(scenes)
+def test_mirrored_flap_gives_mirrored_stiffness_and_inner_basins(veins: tuple[Outlines, list[float]]) -> None:
+    model = flap(*veins[0], moduli=veins[1])
+    mirrored = flap(*(o * [-1, 1] - [L, 0] for o in veins[0]), moduli=veins[1])
+    x = np.linspace(-L, 0, 1000)[1:-1] + 1e-7
+    np.testing.assert_allclose(mirrored.compliance(-L - x), model.compliance(x), rtol=LATTICE_TOLERANCE)
+    inner = [b for b in model.basins() if b.left > -L and b.right < 0]
+    other = [b for b in reversed(mirrored.basins()) if b.left > -L and b.right < 0]
+    assert len(inner) == len(other)
+    for a, b in zip(inner, other, strict=True):
+        assert (a.k_eq, a.k_left, a.k_right) == pytest.approx(
+            (b.k_eq, b.k_right, b.k_left), rel=LATTICE_TOLERANCE
+        )
+        assert a.width == pytest.approx(b.width, abs=1e-9 * L)
+        assert a.x == pytest.approx(-L - b.x, abs=1e-9 * L)
+
+
+@few
+@given(scenes, st.integers(-20, 20), st.integers(-20, 20))
+def test_lengths_and_moduli_scale_out(veins: tuple[Outlines, list[float]], a: int, b: int) -> None:
+    size, stiffness = 2.0**a, 2.0**b  # powers of two: rounding scales along, and so do decisions
+    outlines, moduli = veins
+    model = flap(*outlines, moduli=moduli)
+    scaled = SpringModel.from_outlines(
+        size * L, size * H, stiffness * E, [size * o for o in outlines], [stiffness * m for m in moduli]
+    )
+    grasps = model.stable_grasps()
+    others = scaled.stable_grasps(jaw_width=size * 1e-3)
+    assert [(size * g.x, size * g.compression) for g in grasps] == [(g.x, g.compression) for g in others]
+    assert [g.score * size * stiffness for g in grasps] == [g.score for g in others]
+
+
+# --- overlaps
+
+
+def test_overlapping_veins_count_once_and_the_stiffer_counts() -> None:
+    wide, narrow = box(-0.04, -0.01), box(-0.03, -0.02, 0.002, 0.004)
+    x = np.array([-0.035, -0.025, -0.015])
+    same = (H - np.array([2, 3, 2]) * 1e-3) / E + np.array([2, 3, 2]) * 1e-3 / EV
+    np.testing.assert_allclose(flap(wide, narrow).compliance(x), same, rtol=1e-14)
+    for order in (1, -1):  # the narrow one is stiffer and keeps its 2 mm, the wide one only 1 mm there
+        model = flap(*(wide, narrow)[::order], moduli=(EV, 10 * EV)[::order])
+        assert model.compliance(-0.025) == pytest.approx(
+            (H - 0.003) / E + 0.001 / EV + 0.002 / (10 * EV), rel=1e-14
+        )
+    np.testing.assert_allclose(flap(wide, wide).compliance(x), flap(wide).compliance(x), rtol=1e-15)
+    inside = box(-0.03, -0.02, 0.0015, 0.0025)  # leaves a hole in the wide one, or nothing of itself
+    hole = flap(wide, inside, moduli=[EV, 10 * EV]).compliance(x)
+    np.testing.assert_allclose(
+        hole,
+        (H - 0.002) / E + np.array([2, 1, 2]) * 1e-3 / EV + np.array([0, 1, 0]) * 1e-3 / (10 * EV),
+        rtol=1e-14,
+    )
+    np.testing.assert_allclose(
+        flap(wide, inside, moduli=[EV, E]).compliance(x), flap(wide).compliance(x), rtol=1e-14
+    )
+
+
+def test_two_halves_that_touch_are_one_vein() -> None:
+    whole = flap(box(-0.03, -0.01))
+    for halves in (
+        (box(-0.03, -0.02), box(-0.02, -0.01)),
+        (box(-0.03, -0.01, 0.001, 0.002), box(-0.03, -0.01, 0.002, 0.003)),
+        ([(-0.03, 0.001), (-0.01, 0.001), (-0.03, 0.003)], [(-0.01, 0.001), (-0.01, 0.003), (-0.03, 0.003)]),
+    ):
+        model = flap(*halves)
+        x = np.linspace(-L, 0, 101) + 1e-5 * np.sign(np.linspace(0.5, -0.5, 101))
+        np.testing.assert_allclose(model.compliance(x), whole.compliance(x), rtol=1e-12)
+        assert [b.x for b in model.basins()] == pytest.approx([b.x for b in whole.basins()], rel=1e-12)
+
+
+# --- many vertices
+
+
+def test_twenty_five_thousand_steep_teeth_leave_no_rounding_behind() -> None:
+    """A comb whose heights are known by hand; its flanks are a million times steeper than the flap is high."""
+    n = 25_000
+    rng = np.random.default_rng(1)
+    pitch = 0.9 * L / n
+    foot = -0.95 * L + pitch * np.arange(n)
+    height = rng.uniform(0.002, 0.004, n)
+    flank = 1e-6 * pitch
+    x = foot[:, None] + np.array([0.2 * pitch, 0.2 * pitch + flank, 0.7 * pitch, 0.7 * pitch + flank])
+    y = np.column_stack([np.full(n, 0.001), height, height, np.full(n, 0.001)])
+    comb = np.vstack([np.column_stack([x.ravel(), y.ravel()]), [[x[-1, 3], 0.0005], [x[0, 0], 0.0005]]])
+    model = flap(comb)
+    # flanks of slope 1e9 whose feet move by L / 2^41 are not asked; levels sum 1e5 roundings of eps H at worst
+    tooth, gap = foot + 0.45 * pitch, foot[1:] - 0.15 * pitch
+    chord = height - 0.0005
+    np.testing.assert_allclose(model.compliance(tooth), (H - chord) / E + chord / EV, rtol=1e-11)
+    np.testing.assert_allclose(model.compliance(gap), (H - 0.0005) / E + 0.0005 / EV, rtol=1e-11)
+    assert model.compliance(-1e-3) == H / E  # beyond the comb, nothing at all is left
+    basins = model.basins()
+    assert len(basins) == n + 1
+    np.testing.assert_allclose([b.x for b in basins[1:-1]], gap, rtol=0, atol=1e-5 * pitch)
+    np.testing.assert_allclose(
+        [b.k_right for b in basins[:-1]], 1 / ((H - chord) / E + chord / EV), rtol=1e-11
+    )
+
+
+def test_a_fine_ellipse_has_one_maximum_and_the_chord_of_an_ellipse() -> None:
+    n = 100_000
+    angle = 2 * math.pi * np.arange(n) / n
+    model = flap(np.column_stack([-0.025 + 0.01 * np.cos(angle), H / 2 + 0.002 * np.sin(angle)]))
+    left, right = model.basins()
+    assert left.right == pytest.approx(-0.025, abs=1e-6)
+    assert left.k_right == right.k_left
+    x = np.linspace(-0.034, -0.016, 50)
+    chord = 0.004 * np.sqrt(1 - ((x + 0.025) / 0.01) ** 2)
+    # a side of the polygon misses its arc by (2 pi / n)^2 / 8 = 5e-10 of the radius
+    np.testing.assert_allclose(model.compliance(x), (H - chord) / E + chord / EV, rtol=5e-9)
+
+
+# --- stable grasps
+
+
+def test_between_two_veins_one_grasp_at_the_middle() -> None:
+    model = flap(box(-0.04, -0.035), box(-0.02, -0.015, 0.001, 0.0025))
+    free, between, fixed = model.basins()
+    assert between.x == pytest.approx(-0.0275, rel=1e-15)
+    assert between.width == pytest.approx(0.015, rel=1e-12)
+    assert between.k_eq == E / H
+    assert between.k_n == between.k_right < between.k_left  # the shorter chord is the weaker way out
+    assert between.escape == between.k_right - between.k_eq > 0
+    assert [g.x for g in model.stable_grasps()] == [between.x, fixed.x, free.x]
+
+
+def test_free_end_leaves_nothing_to_climb_and_the_fixed_end_is_a_wall() -> None:
+    model = flap(box(-0.03, -0.02))
+    free, fixed = model.basins()
+    assert (free.x, fixed.x) == pytest.approx((-0.04, -0.01))
+    assert free.escape == 0
+    assert free.k_n == free.k_eq
+    assert fixed.k_right == math.inf
+    assert fixed.k_n == fixed.k_left == free.k_right
+    at_fixed, at_free = model.stable_grasps()
+    assert at_fixed.x == fixed.x
+    assert at_free.compression == pytest.approx(
+        0.5 * H / 2, rel=1e-15
+    )  # k_n = k_eq, as in homogeneous tissue
+
+
+def test_a_vein_at_the_free_end_is_climbed_like_any_other() -> None:
+    free_vein = flap(box(-L, -0.04), box(-0.02, -0.01))
+    between = free_vein.basins()[0]
+    assert between.x == pytest.approx(-0.03)
+    assert between.k_left == pytest.approx(between.k_right)
+    assert between.escape > 0
+
+
+def test_waist_of_a_stiff_vein_and_a_soft_inclusion_are_stable() -> None:
+    waist = [
+        (-0.03, 0.0005),
+        (-0.025, 0.0015),
+        (-0.02, 0.0005),
+        (-0.02, 0.0035),
+        (-0.025, 0.0025),
+        (-0.03, 0.0035),
+    ]
+    middle = flap(waist).basins()[1]
+    assert (middle.x, middle.width) == (-0.025, 0)
+    assert middle.k_eq == pytest.approx(1 / ((H - 0.001) / E + 0.001 / EV), rel=1e-12)
+    assert middle.k_n == pytest.approx(1 / ((H - 0.003) / E + 0.003 / EV), rel=1e-12)
+
+    soft = flap(box(-0.03, -0.02), moduli=E / 4)
+    (basin,) = soft.basins()
+    assert (basin.x, basin.left, basin.right) == pytest.approx((-0.025, -0.03, -0.02))
+    assert basin.k_left == basin.k_right == E / H  # the level tissue on both sides is the maximum
+    assert [g.x for g in soft.stable_grasps()] == [basin.x]
+
+
+@pytest.mark.parametrize(
+    "veins",
+    [[], [box(-L, 0.0)], [[(-L, 0.001), (0, 0.002), (0, 0.003), (-L, 0.002)]]],
+    ids=["none", "layer", "shear"],
+)
+def test_tissue_without_extrema_is_sampled_uniformly(veins: list[ArrayLike]) -> None:
+    model = flap(*veins)
+    (basin,) = model.basins()
+    assert (basin.x, basin.width, basin.escape) == (-L / 2, L, 0)
+    grasps = model.stable_grasps()
+    # Fig. 8: ten grasps; the farthest stands half a jaw inside the free end
+    assert [g.x for g in grasps] == pytest.approx([-0.0495, *(-0.005 * np.arange(9, 0, -1))])
+    assert [g.compression for g in grasps] == pytest.approx([0.25 * H] * 10, rel=1e-12)  # eps_L h / 2
+    assert [g.score for g in grasps] == pytest.approx([basin.k_eq * (0.25 * H) ** 2 / 2] * 10, rel=1e-12)
+    assert len(model.stable_grasps(samples=50)) == 50  # Fig. 12
+    crowded = [g.x for g in model.stable_grasps(samples=500)]
+    assert len(set(crowded)) == len(crowded) < 500
+    assert (min(crowded), max(crowded)) == (-L + 5e-4, -5e-4)
+
+
+def test_a_vein_as_soft_as_the_tissue_is_no_vein() -> None:
+    assert len(flap(box(-0.03, -0.02), moduli=E).basins()) == 1
+    assert len(flap(box(-0.03, -0.02), moduli=E).stable_grasps(samples=7)) == 7
+
+
+def test_jaws_fit_on_the_flap() -> None:
+    wedge = [(-L, 0.002), (0, 0.001), (0, 0.004)]  # softest at the very free end
+    (grasp,) = flap(wedge).stable_grasps(jaw_width=2e-3)
+    assert grasp.x == -L + 1e-3
+    # there the chord is 1/50 of 3 mm, and still nothing lies beyond: k_n = k_eq
+    chord = 0.02 * 0.003
+    k = 1 / ((H - chord) / E + chord / EV)
+    assert grasp.compression == pytest.approx(0.25 * H, rel=1e-12)
+    assert grasp.score == pytest.approx(k * (0.25 * H) ** 2 / 2, rel=1e-9)
+
+    (other,) = flap(np.array(wedge) * [-1, 1] - [L, 0]).stable_grasps(jaw_width=2e-3)
+    assert other.x == -1e-3
+    k_n = 1 / ((H - 0.003) / E + 0.003 / EV)  # the maximum at the free end's edge; at the other end a wall
+    assert other.score == pytest.approx(k_n * other.compression**2 / 2, rel=1e-9)
+
+    # a gap of 0.2 mm at the free end: a jaw of 1 mm there would stand on the vein
+    narrow = flap(box(-L + 2e-4, -0.03))
+    assert len(narrow.basins()) == 2
+    assert [g.x for g in narrow.stable_grasps()] == pytest.approx([-0.015])
+
+
+@few
+@given(scenes, st.floats(0.01, 0.99))
+def test_compression_balances_the_two_energies(veins: tuple[Outlines, list[float]], limit: float) -> None:
+    model = flap(*veins[0], moduli=veins[1])
+    grasps = model.stable_grasps(strain_limit=limit)
+    # U_n = k_n delta^2 / 2 gives k_n back; U_L = k_eq (eps_L h - delta)^2 / 2 must be the same (Eq. 3, 4)
+    for grasp in grasps:
+        assert 0 < grasp.compression <= limit * H / 2 * (1 + 1e-12)
+        k_n = 2 * grasp.score / grasp.compression**2
+        k_eq = k_n * (grasp.compression / (limit * H - grasp.compression)) ** 2
+        beside = [b for b in model.basins() if b.left < grasp.x < b.right]
+        if beside and grasp.x == beside[0].x:
+            assert k_eq == pytest.approx(beside[0].k_eq, rel=1e-9)
+            assert k_n == pytest.approx(beside[0].k_n, rel=1e-9)
+        assert -L + 5e-4 <= grasp.x <= -5e-4
+    assert [g.score for g in grasps] == sorted((g.score for g in grasps), reverse=True)
+
+
+def test_stiffer_neighbours_allow_less_compression_and_score_higher() -> None:
+    k_n = np.geomspace(1, 1e4, 50)
+    delta = optimal_compression(1.0, k_n, H, 0.5)
+    assert delta[0] == 0.5 * H / 2
+    assert (np.diff(delta) < 0).all()
+    assert (np.diff(k_n * delta**2) > 0).all()
+
+
+# --- the tissue of a scene, and bad input
+
+
+def test_tissue_of_a_scene_is_swept_like_its_outlines() -> None:
+    outlines = [box(-0.04, -0.03), np.array([(-0.02, 0.001), (-0.01, 0.001), (-0.014, 0.004)])]
+    moduli = [EV, 3 * EV]
+    veins = tuple(
+        Vein(outline=tuple((float(x), float(y)) for x, y in o), modulus=m)
+        for o, m in zip(outlines, moduli, strict=True)
+    )
+    tissue = Tissue(length=L, height=H, depth=H, density=1000.0, modulus=E, poisson=0.45, veins=veins)
+    model, other = SpringModel(tissue), flap(*outlines, moduli=moduli)
+    np.testing.assert_array_equal(model.knots, other.knots)
+    np.testing.assert_array_equal(model.left, other.left)
+    np.testing.assert_array_equal(model.right, other.right)
+    assert model.stable_grasps() == other.stable_grasps()
+
+
+@pytest.mark.parametrize(
+    ("outline", "message"),
+    [
+        (box(-0.06, -0.02), "leaves the flap"),
+        (box(-0.02, -0.01, 0.001, math.nan), "leaves the flap"),
+        ([(-0.03, 0.001), (-0.02, 0.003), (-0.02, 0.001), (-0.03, 0.003)], "crosses itself"),
+        ([(-0.03, 0.001), (-0.02, 0.001), (-0.01, 0.001)], "no area"),
+        ([(-0.03, 0.001), (-0.02, 0.001)], "shape"),
+    ],
+)
+def test_bad_outlines_are_named_in_one_line(outline: ArrayLike, message: str) -> None:
+    with pytest.raises(ValueError, match=message) as error:
+        flap(box(-0.03, -0.02), outline)
+    assert str(error.value).startswith("outlines[1]")
+    assert "\n" not in str(error.value)
+
+
+def test_bad_arguments_are_named() -> None:
+    with pytest.raises(ValueError, match="height = -1"):
+        SpringModel.from_outlines(L, -1.0, E, [], [])
+    with pytest.raises(ValueError, match="moduli"):
+        flap(box(-0.03, -0.02), moduli=[0.0])
+    with pytest.raises(ValueError, match="moduli"):
+        flap(box(-0.03, -0.02), moduli=[EV, EV])
+    model = flap(box(-0.03, -0.02))
+    for x in (-0.06, 0.01, math.nan):
+        with pytest.raises(ValueError, match="x = "):
+            model.k_eq(x)
+    with pytest.raises(ValueError, match="strain_limit"):
+        model.stable_grasps(strain_limit=0.0)
+    with pytest.raises(ValueError, match="jaw_width"):
+        model.stable_grasps(jaw_width=0.06)
+    with pytest.raises(ValueError, match="samples"):
+        model.stable_grasps(samples=0)
