@@ -36,7 +36,7 @@ from baselines.drawing import (
 from baselines.pictures import verdict, write_whole
 
 if TYPE_CHECKING:
-    from planners.generate_and_test import Plan
+    from planners.base import Plan
 
 Pixels = NDArray[np.uint8]
 

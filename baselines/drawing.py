@@ -14,6 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.markers import MarkerStyle
 from matplotlib.patches import Polygon, Rectangle
 from matplotlib.patheffects import withStroke
+from matplotlib.ticker import MaxNLocator
 from matplotlib.transforms import Affine2D
 from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
@@ -33,7 +34,7 @@ MM = 1e3
 INK, GREY, STEEL = "#22282e", "#6d757d", "#39444f"
 TISSUE, VEIN, VEIN_EDGE = "#f7e1d3", "#9fcdea", "#1b3a5c"
 SIGHT, VALUE, LIMIT = "#00805f", "#0072b2", "#d55e00"
-STYLE: dict[str, Any] = {
+STYLE: Any = {
     "font.family": "DejaVu Sans", "font.size": 9.5, "axes.edgecolor": GREY, "axes.labelcolor": INK, "axes.linewidth": 0.8,
     "axes.spines.top": False, "axes.spines.right": False, "axes.titlelocation": "left", "axes.titlesize": 9.5,
     "axes.titlecolor": INK, "text.color": INK, "xtick.color": GREY, "ytick.color": GREY, "xtick.labelsize": 8.5,
@@ -188,10 +189,10 @@ def view_limits(scene: Scene, frames: Sequence[TissueState]) -> tuple[float, flo
     return left - 3.0, left - 3.0 + width, -BED_MM, max(top + 5.0, 0.45 * width)
 
 
-def draw_surroundings(axes: Axes, scene: Scene, limits: tuple[float, float, float, float]) -> list[Line2D]:
+def draw_surroundings(axes: Axes, scene: Scene, limits: tuple[float, float, float, float], clear: bool = True) -> list[Line2D]:
     """Bed, fixed end, line of sight AB, the region below it that tissue must leave, and the area of interest.
 
-    Returns what lies over the flap.
+    clear: whether the flap ends above AB; the line's label goes on the other side. Returns what lies over the flap.
     """
     x0, x1, y0, y1 = limits
     axes.set_xlim(x0, x1)
@@ -217,9 +218,9 @@ def draw_surroundings(axes: Axes, scene: Scene, limits: tuple[float, float, floa
     bed_note(axes, (first + target[0]) / 2, "area of interest", SIGHT)
     bed_note(axes, target[0], "B", SIGHT, weight="bold")
     axes.text(x1 / 2, height / 2, "fixed\nend", ha="center", va="center", zorder=2.7, bbox=NOTE_BOX)
-    below = np.array([-away[1], away[0]]) if away[0] < 0 else np.array([-1.0, 0.0])
+    aside = np.array([-away[1], away[0]]) * (1.0 if clear else -1.0)
     axes.text(
-        *(end - 1.5 * away + below), f"line of sight to camera A, {distance:.0f} mm from B", color=SIGHT, zorder=2.7,
+        *(end - 1.5 * away + aside), f"line of sight to camera A, {distance:.0f} mm from B", color=SIGHT, zorder=2.7,
         rotation=-float(np.degrees(np.arctan2(away[1], -away[0]))), rotation_mode="anchor", ha="left", va="center",
         path_effects=[withStroke(linewidth=3, foreground="white")],
     )  # fmt: skip
@@ -245,12 +246,13 @@ def squeeze_end(frames: Sequence[TissueState]) -> int:
 def draw_histories(axes: Sequence[Axes], certificate: Certificate, colour: str = VALUE) -> list[tuple[Array, Array]]:
     """Strain, needed friction and clearance over the increments with their limits, on three axes.
 
-    Returns the three drawn curves, (n,) increments and (n,) values; a friction without bound is drawn at the top.
+    Returns the three drawn curves, (n,) increments and (n,) values; where no friction would hold, at the top.
     """
     frames = certificate.frames
     steps = np.arange(len(frames), dtype=np.float64)
     strain = np.array([f.max_strain for f in frames])
-    friction = np.array([np.max(f.required_friction) for f in frames])
+    # Only closed jaws are asked to hold, so friction begins with the motion.
+    friction = np.array([np.max(f.required_friction) if f.progress >= 1 else np.nan for f in frames])
     clearance = np.array([f.clearance for f in frames]) * MM
     friction_limit = certificate.friction_limit
     top = 1.3 * max(friction_limit, np.max(friction, where=np.isfinite(friction), initial=0.0))
@@ -266,18 +268,23 @@ def draw_histories(axes: Sequence[Axes], certificate: Certificate, colour: str =
         ax.set_title(title, pad=5)
         ax.axvspan(0, turn, facecolor="#eef0f2", zorder=0)
         ax.axhline(limit, color=LIMIT, linewidth=1.3, linestyle=(0, (5, 3)), zorder=2)
-        ax.plot(steps, values, color=colour, linewidth=2.0, zorder=3, solid_capstyle="round")
+        marker = "o" if len(steps) == 1 else None
+        ax.plot(steps, values, color=colour, marker=marker, linewidth=2.0, zorder=3, solid_capstyle="round")
         last = max(len(frames) - 1, 1)
         ax.set_xlim(0, 1.03 * last)
+        ax.xaxis.set_major_locator(MaxNLocator(5, integer=True, steps=[1, 2, 5, 10]))
         ax.set_xlabel("increment (shaded: squeeze)", labelpad=2)
-        low, high = min(float(np.nanmin(values)), 0.0), max(float(np.nanmax(values)), limit)
+        known = values[np.isfinite(values)]
+        low, high = float(known.min(initial=0.0)), float(known.max(initial=limit))
         room = high - low or 1.0
         ax.set_ylim(low - 0.08 * room if low < 0 else 0.0, high + 0.25 * room)
+        # The limit's name goes to the side where the curve stays away from it.
         half = (len(values) + 1) // 2
-        gap = np.abs(np.nan_to_num(values - limit))
+        gap = np.where(np.isfinite(values), np.abs(values - limit), np.inf)
         x, side = (0.02 * last, "left") if gap[:half].min() >= gap[-half:].min() else (last, "right")
         ax.annotate(
             text, (x, limit), xytext=(0, 3), textcoords="offset points", ha=side, va="bottom", color=LIMIT, fontsize=8.5,
             path_effects=[withStroke(linewidth=2.5, foreground="white")], zorder=2.5,
         )  # fmt: skip
+    axes[1].plot(steps[lifted], drawn[lifted], "^", color=LIMIT, markersize=6, zorder=3.5)
     return [(steps, values) for _, values, _, _ in rows]

@@ -17,6 +17,8 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon, Rectangle
+from matplotlib.patheffects import withStroke
+from matplotlib.ticker import MaxNLocator
 
 from baselines.drawing import (
     GREY,
@@ -44,7 +46,7 @@ from baselines.drawing import (
 from planners.spring import SpringModel
 
 if TYPE_CHECKING:
-    from planners.generate_and_test import Candidate, Plan
+    from planners.base import Candidate, Plan
     from retract_env.physics.base import TissueState
 
 DPI = 160
@@ -53,11 +55,11 @@ GHOSTS = 3
 
 VERDICTS = {
     "ok": "Certified",
-    "not_visible": "Not certified: the target stays hidden",
-    "strain": "Not certified: the tissue is strained beyond its limit",
-    "slip": "Not certified: a jaw would slip",
-    "release": "Not certified: a jaw would let go",
-    "diverged": "Not certified: no equilibrium was found",
+    "not_visible": "Not certified, target still hidden",
+    "strain": "Not certified, too much strain",
+    "slip": "Not certified, a jaw slips",
+    "release": "Not certified, a jaw lets go",
+    "diverged": "Not certified, no equilibrium found",
 }
 
 
@@ -136,7 +138,7 @@ def verdict(plan: Plan) -> str:
     return (
         f"{VERDICTS.get(c.reason, c.reason)}   strain {c.max_strain:.3f} of {c.strain_limit:g}   ·   friction "
         f"{c.required_friction:.2f} of {c.friction_limit:g}   ·   clearance {c.clearance * MM:+.2f} mm"
-    )
+    ).replace("-", "\N{MINUS SIGN}")
 
 
 def _draw_title(figure: Figure, plan: Plan, height: float) -> None:
@@ -170,10 +172,12 @@ def _draw_stiffness(axes: Axes, below: Axes, plan: Plan) -> None:
     k = np.asarray(model.k_eq(x)) / (MM * 1e3)  # Pa/m -> kPa/mm
     axes.set_xlim(*below.get_xlim())
     low, high = float(k.min()), float(k.max())
-    room = max(high - low, 0.2 * high)
-    axes.set_ylim(low - 0.22 * room, high + 0.5 * room)
+    room = max(high - low, 0.5 * high)
+    axes.set_ylim(low - 0.42 * room, high + 0.15 * room)
+    axes.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
     axes.plot(x * MM, k, color=INK, linewidth=1.4, zorder=3)
     axes.set_ylabel("stiffness k_eq\nkPa/mm")
+    axes.yaxis.set_label_coords(-0.045, 0.5)
     axes.tick_params(labelbottom=False, bottom=False)
     axes.spines["bottom"].set_visible(False)
     grasps = ranked(plan.candidates)
@@ -191,8 +195,9 @@ def _draw_stiffness(axes: Axes, below: Axes, plan: Plan) -> None:
         if all(abs(at * MM - other) > spacing for other in taken):
             taken.append(at * MM)
             axes.annotate(
-                str(rank), (at * MM, height), xytext=(0, 7), textcoords="offset points", ha="center", va="bottom",
-                color=colour if best else INK, weight="bold" if best else "normal", fontsize=11 if best else 8.5, zorder=6,
+                str(rank), (at * MM, height), xytext=(0, -6), textcoords="offset points", ha="center", va="top",
+                color=colour if best else INK, weight="bold" if best else "normal", fontsize=11 if best else 8.5,
+                zorder=6, path_effects=[withStroke(linewidth=2.5, foreground="white")],
             )  # fmt: skip
     if not any(abs(at - chosen) <= 1e-9 for _, at in grasps):  # a grasp that no candidate list holds
         height = float(model.k_eq(np.array([chosen]))[0]) / (MM * 1e3)
@@ -229,7 +234,7 @@ def _ghosts(frames: Sequence[TissueState]) -> list[int]:
 def _draw_motion(axes: Axes, plan: Plan, limits: tuple[float, float, float, float]) -> None:
     frames, scene, limit = plan.certificate.frames, plan.scene, plan.certificate.strain_limit
     topology = SectionTopology(plan.certificate.section)
-    draw_surroundings(axes, scene, limits)
+    draw_surroundings(axes, scene, limits, clear=frames[-1].clearance >= 0)
     if len(frames) > 1:
         for depth, index in enumerate([0, *_ghosts(frames)]):
             ghost = FlapArtist(axes, topology, limit, fade=0.75 - 0.08 * depth, zorder=1.0 + 0.3 * depth)
@@ -246,12 +251,13 @@ def _draw_motion(axes: Axes, plan: Plan, limits: tuple[float, float, float, floa
         axes.plot(*tracks[:, side].T, color=STEEL, linewidth=1.0, linestyle=(0, (1, 1.5)), zorder=2.8)
     outline = np.asarray(frames[-1].points)[topology.outline] * MM
     shade = hidden_area(outline, (scene.line_of_sight.camera[0] * MM, scene.line_of_sight.camera[1] * MM))
-    axes.add_patch(Polygon(shade, facecolor="#c9ced3", edgecolor="none", zorder=2.3))
+    axes.add_patch(Polygon(shade, facecolor="#b4bbc2", edgecolor="none", alpha=0.75, zorder=2.3))
     reach = float(shade[-1, 0])  # the bed is hidden from here to the fixed end
     if reach / 2 - scene.line_of_sight.target[0] * MM > 4.0:
         bed_note(axes, reach / 2, "hidden", GREY)
     axes.set_xlabel("mm from the fixed end")
     axes.set_ylabel("mm above the bed")
+    axes.yaxis.set_label_coords(-0.045, 0.5)
     axes.set_title(
         "How the flap moves: at rest and on the way (pale), at the end (full colour). "
         "Green must be clear of tissue, grey stays hidden.", pad=6,

@@ -231,7 +231,7 @@ class Trial:
             increments=len(frames) - 1,
             mesh={
                 "nodes": len(prism.section.points) * prism.levels,
-                "elements": sum(len(b.weight) for b in prism.blocks),
+                "elements": sum(b.count for b in prism.blocks),
                 "resolution": self.resolution,
             },
             scene_hash=self.scene.hash,

@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 INCREMENTS = 48
 """Steps from the squeezed grasp to the pose where an ideal flap would clear the line of sight."""
 LONGEST = 8
-"""Where a path would take more than this many times `increments`, its steps grow and fewer lead to the goal."""
+"""A path that would take more than this many times `increments` grows its steps; fewer lead to the goal."""
 MOST_TURN = 1.5 * math.pi
 """rad. CTC ends when the arc has turned so far that the jaws come down on the other side of its centre."""
 MOST_SWING = math.radians(170)

@@ -56,7 +56,7 @@ class SceneError(ValueError):
     """A scene that cannot be used; the message is one line."""
 
     def __init__(self, message: str) -> None:
-        super().__init__(" ".join(message.split()))
+        super().__init__(" ".join(message.splitlines()))
 
 
 # --- Errors: a fault is what follows the path of its field: it starts with " = ", ": ", "[2]" or ".key"
@@ -66,7 +66,7 @@ def _fault(*lines: str) -> PydanticCustomError:
     return PydanticCustomError("scene", "{first}", {"first": lines[0], "lines": lines})
 
 
-def _scene_error(error: ValidationError, prefix: str = "") -> SceneError:
+def _scene_error(error: ValidationError) -> SceneError:
     """The first three faults in one line, and how many there are besides."""
     lines = []
     for item in error.errors(include_url=False):
@@ -77,7 +77,7 @@ def _scene_error(error: ValidationError, prefix: str = "") -> SceneError:
             lines.append(f"{path}: {'missing' if item['type'] == 'missing' else item['msg']}")
     shown = [line.removeprefix(".").removeprefix(": ") for line in lines[:3]]
     more = len(lines) - len(shown)
-    return SceneError(prefix + "; ".join(shown) + (f"; and {more} more" if more else ""))
+    return SceneError("; ".join(shown) + (f"; and {more} more" if more else ""))
 
 
 def _shown(value: object) -> str:

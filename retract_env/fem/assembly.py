@@ -46,10 +46,10 @@ class Assembly:
         keys = []
         for block in self.blocks:
             rows, cols = block_triangle(block.gxy.shape[3], block.gz.shape[3])
-            numbered = number[block.dofs]
+            numbered = np.where(block.weight.any(axis=1)[:, None, :], number[block.dofs], -1)
             keys.append(_keys(numbered, rows, cols, len(self.free)))
-        flat = np.concatenate([k.ravel() for k in keys])
-        unique = np.unique(flat[flat >= 0])
+        flat = np.sort(np.concatenate([k.ravel() for k in keys]))
+        unique = flat[(flat >= 0) & np.concatenate([[True], flat[1:] != flat[:-1]])]
         n = len(self.free)
         self.indices = (unique % n).astype(np.int32)
         self.indptr = np.searchsorted(unique, np.arange(n + 1, dtype=np.int64) * n).astype(np.int32)
@@ -67,7 +67,7 @@ class Assembly:
         """Values [N/m] of the tangent's upper triangle over the free unknowns."""
         values = np.zeros(len(self.indices))
         for block, target in zip(self.blocks, self.targets, strict=True):
-            kernels.tangent(u, *block.arrays, target, values)
+            kernels.tangent(u, *block.arrays, block.gram_xy, block.gram_z, target, values)
         return values
 
     def tangent_times(self, u: Array, v: Array) -> Array:
@@ -78,49 +78,52 @@ class Assembly:
         return out
 
     def stretches(self, u: Array) -> list[Array]:
-        """Principal stretches (ne, nq, 3) of each block, ascending."""
+        """Principal stretches (m, nq, 3) of each block's elements, ascending."""
         out = []
         for block in self.blocks:
-            stretch = np.empty((*block.weight.shape, 3))
+            chunks, points, lanes = block.weight.shape
+            stretch = np.empty((chunks, points, 3, lanes))
             kernels.principal_stretches(u, block.gxy, block.gz, block.dofs, stretch)
-            out.append(stretch)
+            out.append(block.by_element(stretch))
         return out
 
 
 @njit(cache=True, nogil=True)
 def _keys(numbered, rows, cols, n):
-    """row * n + column of each element entry in the upper triangle, -1 where an unknown is prescribed."""
-    out = np.empty((len(numbered), len(rows)), np.int64)
-    for e in range(len(numbered)):
+    """row * n + column of each element entry in the upper triangle, -1 where an unknown is prescribed; (c, m, LANES)."""
+    chunks, _, lanes = numbered.shape
+    out = np.empty((chunks, len(rows), lanes), np.int64)
+    for c in range(chunks):
         for s in range(len(rows)):
-            i = np.int64(numbered[e, rows[s]])
-            j = np.int64(numbered[e, cols[s]])
-            if i < 0 or j < 0:
-                out[e, s] = -1
-            else:
-                out[e, s] = min(i, j) * n + max(i, j)
+            for lane in range(lanes):
+                i = np.int64(numbered[c, rows[s], lane])
+                j = np.int64(numbered[c, cols[s], lane])
+                if i < 0 or j < 0:
+                    out[c, s, lane] = -1
+                else:
+                    out[c, s, lane] = min(i, j) * n + max(i, j)
     return out
 
 
 @njit(cache=True, nogil=True)
 def _positions(keys, indptr, indices, n):
     """Where each key stands in the CSR arrays, by bisection in its row."""
-    out = np.empty(keys.shape, np.int32)
-    for e in range(keys.shape[0]):
-        for s in range(keys.shape[1]):
-            key = keys[e, s]
-            if key < 0:
-                out[e, s] = -1
-                continue
-            row = key // n
-            col = key - row * n
-            low = indptr[row]
-            high = indptr[row + 1] - 1
-            while low < high:
-                mid = (low + high) // 2
-                if indices[mid] < col:
-                    low = mid + 1
-                else:
-                    high = mid
-            out[e, s] = low
-    return out
+    flat = keys.ravel()
+    out = np.empty(len(flat), np.int32)
+    for s in range(len(flat)):
+        key = flat[s]
+        if key < 0:
+            out[s] = -1
+            continue
+        row = key // n
+        col = key - row * n
+        low = indptr[row]
+        high = indptr[row + 1] - 1
+        while low < high:
+            mid = (low + high) // 2
+            if indices[mid] < col:
+                low = mid + 1
+            else:
+                high = mid
+        out[s] = low
+    return out.reshape(keys.shape)

@@ -10,9 +10,12 @@ quadratic ones, 18-node wedges.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from retract_env.fem.kernels import LANES, gram
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -36,7 +39,7 @@ TRIANGLE_RULES = {
 
 @dataclass(frozen=True)
 class ElementBlock:
-    """Elements of one kind, as the kernels take them (see kernels.py for the shapes)."""
+    """Elements of one kind, in chunks of LANES as the kernels take them (see kernels.py for the shapes)."""
 
     gxy: Array
     gz: Array
@@ -44,10 +47,35 @@ class ElementBlock:
     mu: Array
     lam: Array
     dofs: Ints
+    count: int
+    """elements; what is left of the last chunk has no weight"""
+    gram_xy: Array
+    gram_z: Array
+    """the tangent's constant part"""
+
+    @classmethod
+    def of(cls, gxy: Array, gz: Array, weight: Array, mu: Array, lam: Array, dofs: Ints) -> ElementBlock:
+        """From arrays element by element: gxy (m, nq, 3, na), gz (m, nq, 3, nz), weight (m, nq), mu and lam (m,), dofs (m, 2 na + nz)."""
+
+        def lanes(a: NDArray[Any]) -> NDArray[Any]:
+            filled = np.concatenate([a, np.zeros((-len(a) % LANES, *a.shape[1:]), a.dtype)])
+            return np.ascontiguousarray(np.moveaxis(filled.reshape(-1, LANES, *a.shape[1:]), 1, -1))
+
+        gxy_, gz_, weight_, mu_ = lanes(gxy), lanes(gz), lanes(weight), lanes(mu)
+        chunks, na, nz = len(gxy_), gxy.shape[3], gz.shape[3]
+        gram_xy, gram_z = np.empty((chunks, na, na, LANES)), np.empty((chunks, nz, nz, LANES))
+        gram(gxy_, weight_, mu_, gram_xy)
+        gram(gz_, weight_, mu_, gram_z)
+        return cls(gxy_, gz_, weight_, mu_, lanes(lam), lanes(np.asarray(dofs, np.int32)), len(gxy), gram_xy, gram_z)
 
     @property
     def arrays(self) -> tuple[Array, Array, Array, Array, Array, Ints]:
         return self.gxy, self.gz, self.weight, self.mu, self.lam, self.dofs
+
+    def by_element(self, values: Array) -> Array:
+        """(c, ..., LANES) of the kernels to (m, ...), one row an element."""
+        rows = np.moveaxis(values, -1, 1)
+        return rows.reshape(-1, *rows.shape[2:])[: self.count]
 
 
 def lame(modulus: Array, poisson: Array) -> tuple[Array, Array]:
@@ -117,8 +145,8 @@ def extruded_block(
         across = np.broadcast_to(np.einsum("pt,rl->prlt", value, slope), (len(corners), *planar.shape[1:3], *planar.shape[4:]))
         both = np.concatenate([planar, across[:, :, :, None]], axis=3)
         m, p, r = both.shape[:3]
-        return np.ascontiguousarray(both.reshape(m, p * r, 3, -1))
+        return both.reshape(m, p * r, 3, -1)
 
     weight = np.einsum("m,p,r->mpr", double_area, tri_weights, depth_weights).reshape(len(corners), -1)
     mu, lam = lame(modulus, poisson)
-    return ElementBlock(gradients(xy, dxy), gradients(z, dz), np.ascontiguousarray(weight), mu, lam, np.ascontiguousarray(dofs, np.int32))
+    return ElementBlock.of(gradients(xy, dxy), gradients(z, dz), weight, mu, lam, dofs)

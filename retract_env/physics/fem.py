@@ -44,7 +44,7 @@ class FemPhysics:
         start = time.perf_counter()
         self.model = FlapModel(scene, self.section, jaw_x)
         self.equilibrium = Equilibrium(self.model)
-        self._volumes = np.concatenate([b.weight.ravel() for b in self.model.prism.blocks])
+        self._volumes = np.concatenate([b.by_element(b.weight).ravel() for b in self.model.prism.blocks])
         self.seconds["assembly"] = time.perf_counter() - start
         self._history: list[tuple[float, Array]] = []
         self.reset()
@@ -133,7 +133,7 @@ class FemPhysics:
         model, jaws = self.model, to_jaws(self._pose)
         per_block = [strain(s) for s in model.assembly.stretches(self._u)]
         strains = np.concatenate([s.ravel() for s in per_block])
-        weights = [b.weight for b in model.prism.blocks]
+        weights = [b.by_element(b.weight) for b in model.prism.blocks]
         volume = np.sum([w.sum(axis=1) for w in weights], axis=0)
         per_triangle = np.sum([(s * w).sum(axis=1) for s, w in zip(per_block, weights, strict=True)], axis=0) / volume
         worst = max((float(s.max()), int(s.max(axis=1).argmax())) for s in per_block)[1]

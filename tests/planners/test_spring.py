@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -20,8 +21,8 @@ Array = NDArray[np.float64]
 L, H = 0.05, 0.0044  # m, the paper's flap
 E, EV = 40e3, 200e3  # Pa, its tissue and veins
 COLUMNS = 64  # of the lattice of random outlines: keeps edges flatter than H / (L / 64)
-# A vertex may move by L / 2^41; edges of the lattice rise at most 5.7 times as fast, and a column crosses fewer than
-# 100 of them: 5e-9 H.
+# The sweep may move a vertex by L / 2^41. Edges of the lattice rise at most 64 H / L, a column crosses fewer
+# than 100 of them: 3e-9 H.
 LATTICE_TOLERANCE = 1e-8
 
 Outlines = list[Array]
@@ -38,7 +39,7 @@ def flap(*outlines: ArrayLike, moduli: float | Sequence[float] = EV) -> SpringMo
 
 
 def random_veins(seed: int) -> tuple[Outlines, list[float]]:
-    """Concave, overlapping, touching, stiffer and softer veins with their x on a lattice, so with vertical edges."""
+    """Concave, overlapping, touching, stiffer and softer veins; x on a lattice, some edges vertical."""
     rng = np.random.default_rng(seed)
     outlines: Outlines = []
     wanted = rng.integers(1, 9)
@@ -60,20 +61,22 @@ def random_veins(seed: int) -> tuple[Outlines, list[float]]:
 
 def brute_compliance(x: Array, outlines: Sequence[Array], moduli: Sequence[float]) -> Array:
     """1/k_eq by cutting vertical lines with unions of veins, the stiffest first."""
-    lines = shapely.linestrings([[(at, -1.0), (at, 1.0)] for at in x])
+    lines = shapely.linestrings(
+        np.stack([np.column_stack([x, np.full(x.size, y)]) for y in (-1.0, 1.0)], axis=1)
+    )
     covered, total = np.zeros(x.size), np.zeros(x.size)
     for modulus in sorted(set(moduli), reverse=True):
         union = shapely.union_all(
             [shapely.Polygon(o) for o, m in zip(outlines, moduli, strict=True) if m >= modulus]
         )
-        reach = shapely.length(shapely.intersection(lines, union))
+        reach = np.asarray(shapely.length(shapely.intersection(lines, union)))
         total += (reach - covered) / modulus
         covered = reach
     return total + (H - covered) / E
 
 
 scenes = st.integers(0, 2**32 - 1).map(random_veins)
-few = settings(max_examples=60, deadline=None)
+few = settings(max_examples=40, deadline=None)
 
 
 # --- the compliance
@@ -103,7 +106,7 @@ def test_every_minimum_and_maximum_is_that_of_the_brute_force_curve(
 ) -> None:
     model = flap(*veins[0], moduli=veins[1])
     basins = model.basins()
-    x = np.sort(np.concatenate([np.linspace(-L, 0, 3001)[1:-1] + 1e-7, model.knots[1:-1] - 1e-9]))
+    x = np.sort(np.concatenate([np.linspace(-L, 0, 1001)[1:-1] + 1e-7, model.knots[1:-1] - 1e-9]))
     k = 1 / brute_compliance(x, *veins)
     noise = 2 * LATTICE_TOLERANCE * k.max()
     for basin in basins:
@@ -120,7 +123,7 @@ def test_every_minimum_and_maximum_is_that_of_the_brute_force_curve(
         assert basin.k_eq <= basin.k_n
     # monotone within each basin and flat between two: no extremum is missing
     assert basins[0].left == -L or (k[x < basins[0].left] >= basins[0].k_left - noise).all()
-    for here, there in zip(basins, basins[1:], strict=False):
+    for here, there in pairwise(basins):
         assert here.k_right == there.k_left > max(here.k_eq, there.k_eq)
         assert here.right <= there.left
         top = k[(x > here.right) & (x < there.left)]
@@ -140,7 +143,7 @@ def test_rectangle_by_hand() -> None:
 
 
 def test_triangle_and_trapezoid_by_hand() -> None:
-    # chord: 0 to 2 mm over 5 mm, back to 0 over 1 mm; then 0 to 1 mm over 2 mm, level for 2 mm, back over 4 mm
+    # chord: 0 to 2 mm over 5 mm, back over 1 mm; then 0 to 1 mm over 2 mm, level for 2 mm, back over 4 mm
     triangle = [(-0.04, 0.001), (-0.034, 0.001), (-0.035, 0.003)]
     trapezoid = [(-0.02, 0.002), (-0.012, 0.002), (-0.016, 0.003), (-0.018, 0.003)]
     model = flap(triangle, trapezoid)
@@ -195,18 +198,20 @@ def test_mirrored_flap_gives_mirrored_stiffness_and_inner_basins(veins: tuple[Ou
 
 
 @few
-@given(scenes, st.integers(-20, 20), st.integers(-20, 20))
+@given(scenes, st.integers(-10, 10), st.integers(-10, 10))
 def test_lengths_and_moduli_scale_out(veins: tuple[Outlines, list[float]], a: int, b: int) -> None:
-    size, stiffness = 2.0**a, 2.0**b  # powers of two: rounding scales along, and so do decisions
+    size, stiffness = 2.0**a, 2.0**b
     outlines, moduli = veins
     model = flap(*outlines, moduli=moduli)
     scaled = SpringModel.from_outlines(
         size * L, size * H, stiffness * E, [size * o for o in outlines], [stiffness * m for m in moduli]
     )
-    grasps = model.stable_grasps()
-    others = scaled.stable_grasps(jaw_width=size * 1e-3)
-    assert [(size * g.x, size * g.compression) for g in grasps] == [(g.x, g.compression) for g in others]
-    assert [g.score * size * stiffness for g in grasps] == [g.score for g in others]
+    grasps = sorted(model.stable_grasps(), key=lambda grasp: grasp.x)
+    others = sorted(scaled.stable_grasps(jaw_width=size * 1e-3), key=lambda grasp: grasp.x)
+    # cutting overlapping veins rounds a little differently at another scale
+    assert [g.x for g in others] == pytest.approx([size * g.x for g in grasps], rel=1e-12)
+    assert [g.compression for g in others] == pytest.approx([size * g.compression for g in grasps], rel=1e-12)
+    assert [g.score for g in others] == pytest.approx([size * stiffness * g.score for g in grasps], rel=1e-12)
 
 
 # --- overlaps
@@ -252,7 +257,7 @@ def test_two_halves_that_touch_are_one_vein() -> None:
 
 
 def test_twenty_five_thousand_steep_teeth_leave_no_rounding_behind() -> None:
-    """A comb whose heights are known by hand; its flanks are a million times steeper than the flap is high."""
+    """A comb with known heights on a sloping back: flanks of slope 1e9 must not spoil the slope of the back."""
     n = 25_000
     rng = np.random.default_rng(1)
     pitch = 0.9 * L / n
@@ -261,20 +266,21 @@ def test_twenty_five_thousand_steep_teeth_leave_no_rounding_behind() -> None:
     flank = 1e-6 * pitch
     x = foot[:, None] + np.array([0.2 * pitch, 0.2 * pitch + flank, 0.7 * pitch, 0.7 * pitch + flank])
     y = np.column_stack([np.full(n, 0.001), height, height, np.full(n, 0.001)])
-    comb = np.vstack([np.column_stack([x.ravel(), y.ravel()]), [[x[-1, 3], 0.0005], [x[0, 0], 0.0005]]])
+    ends = np.array([x[0, 0], x[-1, 3]])
+    back = np.array([0.0008, 0.0002])  # falls to the right, so chords grow
+    comb = np.vstack([np.column_stack([x.ravel(), y.ravel()]), np.column_stack([ends, back])[::-1]])
     model = flap(comb)
-    # flanks of slope 1e9 whose feet move by L / 2^41 are not asked; levels sum 1e5 roundings of eps H at worst
-    tooth, gap = foot + 0.45 * pitch, foot[1:] - 0.15 * pitch
-    chord = height - 0.0005
+    # at worst 1e5 roundings of eps H add up
+    tooth, gap = foot + 0.45 * pitch, foot[1:] - 0.05 * pitch
+    chord = height - np.interp(tooth, ends, back)
     np.testing.assert_allclose(model.compliance(tooth), (H - chord) / E + chord / EV, rtol=1e-11)
-    np.testing.assert_allclose(model.compliance(gap), (H - 0.0005) / E + 0.0005 / EV, rtol=1e-11)
+    chord = 0.001 - np.interp(gap, ends, back)
+    np.testing.assert_allclose(model.compliance(gap), (H - chord) / E + chord / EV, rtol=1e-11)
     assert model.compliance(-1e-3) == H / E  # beyond the comb, nothing at all is left
     basins = model.basins()
     assert len(basins) == n + 1
-    np.testing.assert_allclose([b.x for b in basins[1:-1]], gap, rtol=0, atol=1e-5 * pitch)
-    np.testing.assert_allclose(
-        [b.k_right for b in basins[:-1]], 1 / ((H - chord) / E + chord / EV), rtol=1e-11
-    )
+    np.testing.assert_allclose([b.x for b in basins[1:-1]], x[:-1, 3], rtol=0, atol=L / 2**40)
+    np.testing.assert_allclose([b.left for b in basins[1:]], x[:, 2], rtol=0, atol=L / 2**40)
 
 
 def test_a_fine_ellipse_has_one_maximum_and_the_chord_of_an_ellipse() -> None:
@@ -348,11 +354,14 @@ def test_waist_of_a_stiff_vein_and_a_soft_inclusion_are_stable() -> None:
     assert [g.x for g in soft.stable_grasps()] == [basin.x]
 
 
-@pytest.mark.parametrize(
-    "veins",
-    [[], [box(-L, 0.0)], [[(-L, 0.001), (0, 0.002), (0, 0.003), (-L, 0.002)]]],
-    ids=["none", "layer", "shear"],
-)
+def wavy_layer() -> Array:
+    """From end to end, 1 mm thick everywhere: its chord is the difference of two bent lines."""
+    rng = np.random.default_rng(3)
+    x, y = np.linspace(-L, 0, 1000), rng.uniform(0.001, 0.002, 1000)
+    return np.vstack([np.column_stack([x, y]), np.column_stack([x, y + 0.001])[::-1]])
+
+
+@pytest.mark.parametrize("veins", [[], [box(-L, 0.0)], [wavy_layer()]], ids=["none", "layer", "wavy layer"])
 def test_tissue_without_extrema_is_sampled_uniformly(veins: list[ArrayLike]) -> None:
     model = flap(*veins)
     (basin,) = model.basins()
