@@ -1,4 +1,4 @@
-"""The pieces that the still picture and the animation share: flap, jaws, surroundings, histories. Lengths drawn in mm."""
+"""What the still picture and the animation share: flap, jaws, surroundings, histories. Drawn in mm."""
 
 from __future__ import annotations
 
@@ -30,26 +30,29 @@ Ints = NDArray[np.intp]
 
 MM = 1e3
 
-# Okabe and Ito's colours, told apart by every kind of colour vision; the strain map is magma, pale where relaxed.
+# Okabe and Ito's colours, which every kind of colour vision tells apart.
 INK, GREY, STEEL = "#22282e", "#6d757d", "#39444f"
 TISSUE, VEIN, VEIN_EDGE = "#f7e1d3", "#9fcdea", "#1b3a5c"
 SIGHT, VALUE, LIMIT = "#00805f", "#0072b2", "#d55e00"
 STYLE: Any = {
-    "font.family": "DejaVu Sans", "font.size": 9.5, "axes.edgecolor": GREY, "axes.labelcolor": INK, "axes.linewidth": 0.8,
-    "axes.spines.top": False, "axes.spines.right": False, "axes.titlelocation": "left", "axes.titlesize": 9.5,
-    "axes.titlecolor": INK, "text.color": INK, "xtick.color": GREY, "ytick.color": GREY, "xtick.labelsize": 8.5,
-    "ytick.labelsize": 8.5, "hatch.linewidth": 0.6, "axes.unicode_minus": True, "figure.facecolor": "white",
-    "axes.axisbelow": True, "savefig.bbox": None, "text.usetex": False, "path.simplify": True,
+    "font.family": "DejaVu Sans", "font.size": 9.5, "text.color": INK, "text.usetex": False,
+    "axes.edgecolor": GREY, "axes.labelcolor": INK, "axes.linewidth": 0.8, "axes.unicode_minus": True,
+    "axes.spines.top": False, "axes.spines.right": False,
+    "axes.titlelocation": "left", "axes.titlesize": 9.5, "axes.titlecolor": INK,
+    "xtick.color": GREY, "ytick.color": GREY, "xtick.labelsize": 8.5, "ytick.labelsize": 8.5,
+    "figure.facecolor": "white", "savefig.bbox": None, "path.simplify": True, "hatch.linewidth": 0.6,
 }  # fmt: skip
+HATCHED: Any = {"facecolor": "#eceef0", "edgecolor": "#c9ced3", "hatch": "////", "linewidth": 0}
 NOTE_BOX = {"boxstyle": "round,pad=0.25", "facecolor": "white", "edgecolor": "none", "alpha": 0.9}
-BED_MM, WALL_MM, FINGER_MM = 4.0, 6.0, 7.0
+HALO = [withStroke(linewidth=2.5, foreground="white")]
+BED, WALL, FINGER, PAD, MARGIN = 0.08, 0.12, 0.14, 0.016, 0.06  # of the flap's length
 
 _SMALL = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])  # a quadratic triangle as four plain ones
 _EDGES = np.array([[0, 3, 1], [1, 4, 2], [2, 5, 0]])
 
 
 def strain_map(fade: float = 0.0) -> Colormap:
-    """Perceptually uniform colours from relaxed (pale) to the limit (dark); fade in [0, 1] blends them with white."""
+    """Perceptually uniform, pale when relaxed, dark at the limit; fade in [0, 1] blends with white."""
     colours = colormaps["magma_r"](np.linspace(0.02, 0.86, 256))
     colours[:, :3] += fade * (1.0 - colours[:, :3])
     return ListedColormap(colours, name=f"strain{fade:g}")
@@ -58,9 +61,9 @@ def strain_map(fade: float = 0.0) -> Colormap:
 class SectionTopology:
     """What is drawn of a section mesh, whatever its shape now.
 
-    nodes: (v,) node of each drawn vertex; faces: (4 m, 3) vertices, or (m, 3) with straight edges, which draws three times
-    faster and differs by less than a pixel where an element is small beside the flap's curvature; outline: (k,) boundary nodes from the foot of the
-    fixed end along the lower surface and round; vein_edges: (e, 3) nodes along the outlines of the veins.
+    nodes: (v,) node of each drawn vertex. faces: (4 m, 3) vertices, or (m, 3) with straight edges, which
+    draws faster and differs by less than a pixel. outline: (k,) boundary nodes from the foot of the fixed end
+    along the lower surface and round. vein_edges: (e, 3) nodes along the outlines of the veins.
     """
 
     def __init__(self, section: SectionMesh, straight: bool = False) -> None:
@@ -80,7 +83,7 @@ class SectionTopology:
         self.outline: Ints = _loop(np.asarray(section.points), np.asarray(section.boundary))
 
     def smooth(self, strain: Array) -> Array:
-        """(v,) strain at the drawn vertices: mean of the (m,) triangles around each, on its side of a vein's outline."""
+        """(v,) strain at the vertices: mean of the (m,) triangles around each, on its side of a vein."""
         flat = self._vertex.ravel()
         return np.asarray(np.bincount(flat, np.repeat(strain, 6)) / np.bincount(flat), dtype=np.float64)
 
@@ -93,12 +96,12 @@ def _loop(points: Array, boundary: Ints) -> Ints:
     for _ in after:
         node, middle = after[node]
         loop += [middle, node]
-    # The edges run counter-clockwise, up the fixed end first; backwards they follow the lower surface first.
+    # The edges run counter-clockwise, up the fixed end first; backwards the lower surface comes first.
     return np.array(loop[::-1], dtype=np.intp)
 
 
 class FlapArtist:
-    """One flap, coloured by strain up to `limit`, its outline and its veins; show() moves it to another state."""
+    """One flap coloured by strain up to `limit`, with outline and veins; show() moves it to another state."""
 
     def __init__(
         self, axes: Axes, topology: SectionTopology, limit: float, fade: float = 0.0, zorder: float = 3.0
@@ -110,8 +113,9 @@ class FlapArtist:
         self.mesh.set_clim(0.0, limit)
         self.mesh.set_array(zeros)
         soft = 1.0 - 0.7 * fade
-        self.veins = Line2D([], [], color=VEIN_EDGE, linewidth=0.9 * soft, alpha=soft, solid_capstyle="round", zorder=zorder + 0.1)
-        self.outline = Line2D([], [], color=INK, linewidth=1.1 * soft, alpha=soft, solid_joinstyle="round", zorder=zorder + 0.2)
+        line: dict[str, Any] = {"alpha": soft, "solid_capstyle": "round", "solid_joinstyle": "round"}
+        self.veins = Line2D([], [], color=VEIN_EDGE, linewidth=0.9 * soft, zorder=zorder + 0.1, **line)
+        self.outline = Line2D([], [], color=INK, linewidth=1.1 * soft, zorder=zorder + 0.2, **line)
         self.artists = (self.mesh, self.veins, self.outline)
         axes.add_collection(self.mesh, autolim=False)
         axes.add_line(self.veins)
@@ -129,24 +133,22 @@ class FlapArtist:
 
 
 class JawArtist:
-    """Two rounded pads, one jaw patch wide, on the outside of the tissue, and the gripper's fingers behind them."""
+    """Two rounded pads outside the tissue, as wide as a jaw patch, and the gripper's fingers behind them."""
 
-    def __init__(self, axes: Axes, width: float, fade: float = 0.0, zorder: float = 5.0) -> None:
-        half, thick = width * MM / 2, 0.8
+    def __init__(self, axes: Axes, scene: Scene, fade: float = 0.0, zorder: float = 5.0) -> None:
+        length, half = scene.tissue.length * MM, scene.jaws.width * MM / 2
+        thick, reach = PAD * length, FINGER * length
         radius = 0.7 * min(half, thick)
         turn = np.linspace(0.0, np.pi / 2, 7)[:, None]
         corner = radius * np.hstack((np.cos(turn), np.sin(turn))) + (half - radius, thick - radius)
         mirrored = corner[::-1] * (-1, 1)
         self._pad = np.vstack(([(half, 0.0)], corner, mirrored, [(-half, 0.0)]))
-        narrow, wide = 0.22, 0.5
-        self._finger = np.array(
-            [(narrow, thick - 0.1), (wide, FINGER_MM / 2), (wide, FINGER_MM), (-wide, FINGER_MM), (-wide, FINGER_MM / 2), (-narrow, thick - 0.1)]
-        )
-        colour, alpha = STEEL, 1.0 - fade
-        edge = {"edgecolor": "white", "linewidth": 0.6, "alpha": alpha, "closed": True}
-        blank = np.zeros((1, 2))
-        self.pads = [Polygon(blank, facecolor=INK, zorder=zorder + 0.1, **edge) for _ in range(2)]
-        self.fingers = [Polygon(blank, facecolor=colour, zorder=zorder, **edge) for _ in range(2)] if fade == 0 else []
+        right = np.array([(0.3 * thick, 0.9 * thick), (0.6 * thick, reach / 2), (0.6 * thick, reach)])
+        self._finger = np.vstack((right, right[::-1] * (-1, 1)))
+        look: dict[str, Any] = {"edgecolor": "white", "linewidth": 0.6, "alpha": 1.0 - fade, "closed": True}
+        blank, fingers = np.zeros((1, 2)), 2 if fade == 0 else 0
+        self.pads = [Polygon(blank, facecolor=INK, zorder=zorder + 0.1, **look) for _ in range(2)]
+        self.fingers = [Polygon(blank, facecolor=STEEL, zorder=zorder, **look) for _ in range(fingers)]
         for patch in (*self.fingers, *self.pads):
             axes.add_patch(patch)
         above = Rectangle((-1e4, 0.0), 2e4, 1e4, transform=axes.transData)
@@ -165,19 +167,6 @@ class JawArtist:
                 self.fingers[side].set_xy(end + self._finger[:, :1] * across + self._finger[:, 1:] * outward)
 
 
-def hidden_area(outline: Array, camera: Sequence[float]) -> Array:
-    """(k, 2) polygon that the flap hides from the camera: under the flap, down to the bed y = 0.
-
-    outline: (n, 2) from the foot of the fixed end along the lower surface and round; camera: (2,), above the bed.
-    """
-    ax, ay = camera
-    below = outline[:, 1] < ay
-    drop = np.where(below, ay - outline[:, 1], 1.0)
-    hits = np.where(below, ax + (outline[:, 0] - ax) * ay / drop, np.inf)  # where the ray through a node meets the bed
-    touch = int(np.argmin(hits))
-    return np.vstack((outline[: touch + 1], [(hits[touch], 0.0)]))
-
-
 def view_limits(scene: Scene, frames: Sequence[TissueState]) -> tuple[float, float, float, float]:
     """x0, x1, y0, y1 in mm that hold the flap in all frames, the jaws, bed and fixed end."""
     tissue = scene.tissue
@@ -185,44 +174,49 @@ def view_limits(scene: Scene, frames: Sequence[TissueState]) -> tuple[float, flo
     spread = np.vstack([*shapes, [(-tissue.length, tissue.height)]])
     spread = spread[np.isfinite(spread).all(axis=1)] * MM
     (left, _), (right, top) = spread.min(axis=0), spread.max(axis=0)
-    width = max(right + 1.0, WALL_MM) - left + 3.0
-    return left - 3.0, left - 3.0 + width, -BED_MM, max(top + 5.0, 0.45 * width)
+    length = tissue.length * MM
+    left, right = left - MARGIN * length, max(right + 0.02 * length, WALL * length)
+    return left, right, -BED * length, max(top + 0.1 * length, 0.45 * (right - left))
 
 
-def draw_surroundings(axes: Axes, scene: Scene, limits: tuple[float, float, float, float], clear: bool = True) -> list[Line2D]:
-    """Bed, fixed end, line of sight AB, the region below it that tissue must leave, and the area of interest.
+def draw_surroundings(
+    axes: Axes, scene: Scene, limits: tuple[float, float, float, float], clear: bool = True
+) -> list[Line2D]:
+    """Bed, fixed end, line of sight AB, the region below it that tissue must leave, the area of interest.
 
-    clear: whether the flap ends above AB; the line's label goes on the other side. Returns what lies over the flap.
+    clear: whether the flap ends above AB; the line's label goes on the other side.
+    Returns what lies over the flap.
     """
     x0, x1, y0, y1 = limits
     axes.set_xlim(x0, x1)
     axes.set_ylim(y0, y1)
     axes.set_aspect("equal")
     axes.set_yticks([t for t in axes.get_yticks() if 0 <= t <= y1])
-    line, height = scene.line_of_sight, scene.tissue.height * MM
+    line, height, length = scene.line_of_sight, scene.tissue.height * MM, scene.tissue.length * MM
     camera, target = np.array(line.camera) * MM, np.array(line.target) * MM
     distance = float(np.linalg.norm(camera - target))
     away = (camera - target) / distance
-    room = [(y1 - 2.0) / away[1], distance]
+    room = [(y1 - 0.04 * length) / away[1], distance]
     if away[0] < 0:
-        room.append((x0 + 2.0 - target[0]) / away[0])
+        room.append((x0 + 0.04 * length - target[0]) / away[0])
     end = target + min(room) * away
-    wedge = [target, target + 1e3 * away, (x0 - 1e3, 1e3), (x0 - 1e3, 0.0)]
+    far = 1e2 * length
+    wedge = np.array([target, target + far * away, (x0 - far, far), (x0 - far, 0.0)])
     axes.add_patch(Polygon(wedge, facecolor="#e3f1ec", edgecolor="none", zorder=0.5))
-    hatched: dict[str, Any] = {"facecolor": "#eceef0", "edgecolor": "#c9ced3", "hatch": "////", "linewidth": 0, "zorder": 2.4}
-    axes.add_patch(Rectangle((x0, y0), x1 - x0, -y0, **hatched))
-    axes.add_patch(Rectangle((0, 0), x1, height, **hatched))
+    axes.add_patch(Rectangle((x0, y0), x1 - x0, -y0, zorder=2.4, **HATCHED))
+    axes.add_patch(Rectangle((0, 0), x1, height, zorder=2.4, **HATCHED))
     axes.plot([x0, x1], [0, 0], color=GREY, linewidth=1.0, zorder=2.5)
-    first = -scene.tissue.length * MM
-    axes.plot([first, target[0]], [-0.4, -0.4], color=SIGHT, linewidth=4.0, solid_capstyle="butt", zorder=2.6)
-    bed_note(axes, (first + target[0]) / 2, "area of interest", SIGHT)
+    seen = np.array([(-length, target[0]), (-0.008 * length, -0.008 * length)])
+    axes.plot(*seen, color=SIGHT, linewidth=4.0, solid_capstyle="butt", zorder=2.6)
+    bed_note(axes, float(seen[0].mean()), "area of interest", SIGHT)
     bed_note(axes, target[0], "B", SIGHT, weight="bold")
     axes.text(x1 / 2, height / 2, "fixed\nend", ha="center", va="center", zorder=2.7, bbox=NOTE_BOX)
     aside = np.array([-away[1], away[0]]) * (1.0 if clear else -1.0)
+    x, y = end + length * (0.02 * aside - 0.03 * away)
     axes.text(
-        *(end - 1.5 * away + aside), f"line of sight to camera A, {distance:.0f} mm from B", color=SIGHT, zorder=2.7,
-        rotation=-float(np.degrees(np.arctan2(away[1], -away[0]))), rotation_mode="anchor", ha="left", va="center",
-        path_effects=[withStroke(linewidth=3, foreground="white")],
+        x, y, f"line of sight to camera A, {distance:.0f} mm from B", color=SIGHT, zorder=2.7, ha="left",
+        va="center", rotation=-float(np.degrees(np.arctan2(away[1], -away[0]))), rotation_mode="anchor",
+        path_effects=HALO,
     )  # fmt: skip
     tip = MarkerStyle("^", transform=Affine2D().rotate(float(np.arctan2(-away[0], away[1]))))
     return [
@@ -234,8 +228,16 @@ def draw_surroundings(axes: Axes, scene: Scene, limits: tuple[float, float, floa
 
 
 def bed_note(axes: Axes, x: float, text: str, colour: str, **look: Any) -> None:
-    """A word on the bed below x, mm."""
-    axes.text(x, -0.58 * BED_MM, text, color=colour, ha="center", va="center", zorder=2.7, bbox=NOTE_BOX, **look)
+    """A word in the bed below x, mm."""
+    y = 0.58 * axes.get_ylim()[0]
+    axes.text(x, y, text, color=colour, ha="center", va="center", zorder=2.7, bbox=NOTE_BOX, **look)
+
+
+def drawn_frames(certificate: Certificate) -> tuple[tuple[TissueState, ...], SectionMesh]:
+    """The states to draw and their mesh. Raises ValueError where the certificate came from a file without."""
+    if not certificate.frames or certificate.section is None:
+        raise ValueError("nothing to draw: the certificate holds no frames")
+    return certificate.frames, certificate.section
 
 
 def squeeze_end(frames: Sequence[TissueState]) -> int:
@@ -243,10 +245,12 @@ def squeeze_end(frames: Sequence[TissueState]) -> int:
     return max(0, sum(f.progress <= 1.0 + 1e-9 for f in frames) - 1)
 
 
-def draw_histories(axes: Sequence[Axes], certificate: Certificate, colour: str = VALUE) -> list[tuple[Array, Array]]:
+def draw_histories(
+    axes: Sequence[Axes], certificate: Certificate, colour: str = VALUE
+) -> list[tuple[Array, Array]]:
     """Strain, needed friction and clearance over the increments with their limits, on three axes.
 
-    Returns the three drawn curves, (n,) increments and (n,) values; where no friction would hold, at the top.
+    Returns the three curves, (n,) increments and (n,) values. Friction without bound is drawn at the top.
     """
     frames = certificate.frames
     steps = np.arange(len(frames), dtype=np.float64)
@@ -283,8 +287,8 @@ def draw_histories(axes: Sequence[Axes], certificate: Certificate, colour: str =
         gap = np.where(np.isfinite(values), np.abs(values - limit), np.inf)
         x, side = (0.02 * last, "left") if gap[:half].min() >= gap[-half:].min() else (last, "right")
         ax.annotate(
-            text, (x, limit), xytext=(0, 3), textcoords="offset points", ha=side, va="bottom", color=LIMIT, fontsize=8.5,
-            path_effects=[withStroke(linewidth=2.5, foreground="white")], zorder=2.5,
+            text, (x, limit), xytext=(0, 3), textcoords="offset points", ha=side, va="bottom", color=LIMIT,
+            fontsize=8.5, path_effects=HALO, zorder=2.5,
         )  # fmt: skip
     axes[1].plot(steps[lifted], drawn[lifted], "^", color=LIMIT, markersize=6, zorder=3.5)
     return [(steps, values) for _, values, _, _ in rows]

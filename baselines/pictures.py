@@ -1,13 +1,11 @@
-"""The picture of a planned retraction: where to grasp, how the flap moves, and by what margins it stays within its limits."""
+"""The picture of a planned retraction: where to grasp, how the flap moves, how far it stays within limits."""
 
 from __future__ import annotations
 
 import io
-import os
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import matplotlib
 import numpy as np
@@ -17,11 +15,12 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon, Rectangle
-from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
 from baselines.drawing import (
     GREY,
+    HALO,
+    HATCHED,
     INK,
     LIMIT,
     MM,
@@ -32,17 +31,19 @@ from baselines.drawing import (
     VALUE,
     VEIN,
     VEIN_EDGE,
+    Array,
     FlapArtist,
     JawArtist,
     SectionTopology,
     bed_note,
     draw_histories,
     draw_surroundings,
-    hidden_area,
+    drawn_frames,
     squeeze_end,
     strain_map,
     view_limits,
 )
+from baselines.files import written_whole
 from planners.spring import SpringModel
 
 if TYPE_CHECKING:
@@ -52,6 +53,7 @@ if TYPE_CHECKING:
 DPI = 160
 WIDTH, LEFT, RIGHT = 10.0, 0.75, 0.95  # inches: page, margins
 GHOSTS = 3
+KPA_PER_MM = 1e-6  # of one Pa/m
 
 VERDICTS = {
     "ok": "Certified",
@@ -66,9 +68,9 @@ VERDICTS = {
 def draw_retraction(plan: Plan, path: str | Path) -> None:
     """Write the picture of a plan as PNG, 1600 pixels wide; the file appears whole or not at all.
 
-    Above: stiffness k_eq of Eq. 2 along the flap with the ranked grasps, over the flap at rest (Fig. 4 of the paper).
-    Middle: the flap over the motion, coloured by strain up to its limit. Below: strain, friction and clearance over the
-    increments with their limits (Sec. III-C).
+    Above: stiffness k_eq of Eq. 2 along the flap with the ranked grasps, over the flap at rest, as in Fig. 4.
+    Middle: the flap over the motion, coloured by strain up to its limit.
+    Below: strain, friction and clearance over the increments with their limits (Sec. III-C).
 
     Raises ValueError where the certificate holds no frames.
     """
@@ -76,27 +78,13 @@ def draw_retraction(plan: Plan, path: str | Path) -> None:
         figure = retraction_figure(plan)
         data = io.BytesIO()
         figure.savefig(data, format="png", dpi=DPI, metadata={"Software": None})
-    write_whole(Path(path), data.getvalue())
-
-
-def write_whole(path: Path, data: bytes) -> None:
-    """Write a file so that nobody ever sees half of it."""
-    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(data)
-        os.chmod(name, 0o644)
-        os.replace(name, path)
-    except BaseException:
-        os.unlink(name)
-        raise
+    with written_whole(Path(path)) as temporary:
+        temporary.write_bytes(data.getvalue())
 
 
 def retraction_figure(plan: Plan) -> Figure:
-    """The figure that draw_retraction writes; its axes are labelled "stiffness", "rest", "motion" and "history 0" to 2."""
-    frames = plan.certificate.frames
-    if not frames:
-        raise ValueError("nothing to draw: the certificate holds no frames")
+    """What draw_retraction writes. Its axes' labels: stiffness, rest, motion, strain, history 0 to 2."""
+    frames, _ = drawn_frames(plan.certificate)
     limits = view_limits(plan.scene, frames)
     inner = WIDTH - LEFT - RIGHT
     per_mm = inner / (limits[1] - limits[0])
@@ -118,44 +106,49 @@ def retraction_figure(plan: Plan) -> Figure:
     middle = panel("motion", bottoms[1], motion)
     _draw_motion(middle, plan, limits)
     bar_height = min(0.6 * motion, 3.2)
-    bar = figure.add_axes(
-        ((WIDTH - RIGHT + 0.12) / WIDTH, (bottoms[1] + motion - bar_height) / height, 0.16 / WIDTH, bar_height / height)
-    )
+    bar = panel("strain", bottoms[1] + motion - bar_height, bar_height, WIDTH - RIGHT + 0.12, 0.16)
     limit = plan.certificate.strain_limit
-    figure.colorbar(ScalarMappable(Normalize(0.0, limit), strain_map()), cax=bar, label="strain, up to its limit")
+    figure.colorbar(
+        ScalarMappable(Normalize(0.0, limit), strain_map()), cax=bar, label="strain, up to its limit"
+    )
     bar.set_yticks(np.linspace(0.0, limit, 6), [f"{v:.2g}" for v in np.linspace(0.0, limit, 6)])
     gap = 0.55
     wide = (WIDTH - LEFT - 0.3 - 2 * gap) / 3
-    draw_histories(
-        [panel(f"history {i}", bottoms[0], histories, LEFT + i * (wide + gap), wide) for i in range(3)], plan.certificate
-    )
+    lefts = [LEFT + i * (wide + gap) for i in range(3)]
+    plots = [panel(f"history {i}", bottoms[0], histories, left, wide) for i, left in enumerate(lefts)]
+    draw_histories(plots, plan.certificate)
     return figure
 
 
 def verdict(plan: Plan) -> str:
     """One line: certified or why not, with the margins."""
     c = plan.certificate
-    return (
-        f"{VERDICTS.get(c.reason, c.reason)}   strain {c.max_strain:.3f} of {c.strain_limit:g}   ·   friction "
-        f"{c.required_friction:.2f} of {c.friction_limit:g}   ·   clearance {c.clearance * MM:+.2f} mm"
-    ).replace("-", "\N{MINUS SIGN}")
+    parts = (
+        f"strain {c.max_strain:.3f} of {c.strain_limit:g}",
+        f"friction {c.required_friction:.2f} of {c.friction_limit:g}",
+        f"clearance {c.clearance * MM:+.2f} mm",
+    )
+    text = f"{VERDICTS.get(c.reason, c.reason)}   {'   ·   '.join(parts)}"
+    return text.replace("-", "\N{MINUS SIGN}")
+
+
+def heading(plan: Plan) -> str:
+    """Scene and planner, at most 60 characters."""
+    title = f"{plan.scene.name.replace('_', ' ')}  ·  planner {plan.planner}"
+    return title if len(title) <= 60 else title[:59] + "…"
 
 
 def _draw_title(figure: Figure, plan: Plan, height: float) -> None:
     left, grasp = LEFT / WIDTH, plan.grasp
-    name = plan.scene.name if len(plan.scene.name) <= 48 else plan.scene.name[:47] + "…"
-    figure.text(left, 1 - 0.38 / height, f"{name.replace('_', ' ')}  ·  planner {plan.planner}", fontsize=16, weight="bold")
-    figure.text(
-        left, 1 - 0.63 / height, f"Grasp {-grasp.x * MM:.1f} mm from the fixed end, jaws closed by {grasp.compression * MM:.2f} mm",
-        fontsize=10.5, color=GREY,
-    )  # fmt: skip
-    figure.text(
-        left, 1 - 0.86 / height, verdict(plan), fontsize=10.5, weight="bold", color=SIGHT if plan.certificate.certified else LIMIT
-    )
+    where = f"Grasp {-grasp.x * MM:.1f} mm from the fixed end, jaws closed by {grasp.compression * MM:.2f} mm"
+    colour = SIGHT if plan.certificate.certified else LIMIT
+    figure.text(left, 1 - 0.38 / height, heading(plan), fontsize=16, weight="bold")
+    figure.text(left, 1 - 0.63 / height, where, fontsize=10.5, color=GREY)
+    figure.text(left, 1 - 0.86 / height, verdict(plan), fontsize=10.5, weight="bold", color=colour)
 
 
 def ranked(candidates: Sequence[Candidate]) -> list[tuple[int, float]]:
-    """Rank from 1 and x in m of each grasp, best first as the candidates come; several at one x count once."""
+    """Rank from 1 and x in m of each grasp, best first as the candidates come; one x counts once."""
     seen: dict[float, int] = {}
     for candidate in candidates:
         seen.setdefault(round(candidate.grasp.x, 9), len(seen) + 1)
@@ -169,7 +162,7 @@ def _draw_stiffness(axes: Axes, below: Axes, plan: Plan) -> None:
     step = 1e-9 * tissue.length  # k_eq jumps at vertical edges: sample both sides
     x = np.unique(np.concatenate((np.linspace(-tissue.length, 0.0, 801), knots - step, knots, knots + step)))
     x = x[(x >= -tissue.length) & (x <= 0.0)]
-    k = np.asarray(model.k_eq(x)) / (MM * 1e3)  # Pa/m -> kPa/mm
+    k = np.asarray(model.k_eq(x)) * KPA_PER_MM
     axes.set_xlim(*below.get_xlim())
     low, high = float(k.min()), float(k.max())
     room = max(high - low, 0.5 * high)
@@ -181,29 +174,34 @@ def _draw_stiffness(axes: Axes, below: Axes, plan: Plan) -> None:
     axes.tick_params(labelbottom=False, bottom=False)
     axes.spines["bottom"].set_visible(False)
     grasps = ranked(plan.candidates)
+    if all(abs(at - chosen) > 1e-9 for _, at in grasps):
+        grasps.append((0, chosen))  # a grasp that was not among the candidates has no rank
     taken: list[float] = []
     spacing = 0.017 * float(np.ptp(axes.get_xlim()))
     for rank, at in sorted(grasps, key=lambda g: (abs(g[1] - chosen) > 1e-9, g[0])):
         best = abs(at - chosen) <= 1e-9
-        height = float(model.k_eq(np.array([at]))[0]) / (MM * 1e3)
+        height = float(model.k_eq(np.array([at]))[0]) * KPA_PER_MM
         colour = VALUE if best else GREY
         axes.plot(
             at * MM, height, "o", markersize=8 if best else 5, markerfacecolor=VALUE if best else "white",
             markeredgecolor=colour, markeredgewidth=1.2, zorder=5 if best else 4, gid=f"grasp {rank}",
         )  # fmt: skip
-        below.plot([at * MM] * 2, [0, tissue.height * MM], color=colour, linewidth=1.6 if best else 0.8, linestyle="-" if best else (0, (2, 2)), zorder=3)
+        line: Any = {"linewidth": 1.6} if best else {"linewidth": 0.8, "linestyle": (0, (2, 2))}
+        below.plot([at * MM] * 2, [0, tissue.height * MM], color=colour, zorder=3, **line)
         if all(abs(at * MM - other) > spacing for other in taken):
             taken.append(at * MM)
             axes.annotate(
-                str(rank), (at * MM, height), xytext=(0, -6), textcoords="offset points", ha="center", va="top",
-                color=colour if best else INK, weight="bold" if best else "normal", fontsize=11 if best else 8.5,
-                zorder=6, path_effects=[withStroke(linewidth=2.5, foreground="white")],
+                str(rank or ""), (at * MM, height), xytext=(0, -6), textcoords="offset points", ha="center",
+                va="top", color=colour if best else INK, weight="bold" if best else "normal", zorder=6,
+                fontsize=11 if best else 8.5, path_effects=HALO,
             )  # fmt: skip
-    if not any(abs(at - chosen) <= 1e-9 for _, at in grasps):  # a grasp that no candidate list holds
-        height = float(model.k_eq(np.array([chosen]))[0]) / (MM * 1e3)
-        axes.plot(chosen * MM, height, "o", markersize=8, color=VALUE, zorder=5, gid="grasp 0")
-    axes.axvline(chosen * MM, ymax=(np.interp(chosen, x, k) - axes.get_ylim()[0]) / np.ptp(axes.get_ylim()), color=VALUE, linewidth=1.6, zorder=2)
-    why = "stable grasps lie where the flap is softest, 1 is the most secure" if tissue.veins else "no spot is softer than another"
+        if best:
+            axes.plot([at * MM] * 2, [axes.get_ylim()[0], height], color=VALUE, linewidth=1.6, zorder=2)
+    why = (
+        "stable grasps lie where the flap is softest, 1 is the most secure"
+        if tissue.veins
+        else "no spot is softer than another"
+    )
     axes.set_title(f"Where to grasp: {why}; blue was chosen", pad=6)
 
 
@@ -213,11 +211,15 @@ def _draw_rest(axes: Axes, plan: Plan, span: tuple[float, float], tall: float) -
     axes.set_xlim(*span)
     axes.set_ylim(-0.3, tall - 0.3)
     axes.set_aspect("equal")
-    axes.add_patch(Rectangle((-length, 0), length, height, facecolor=TISSUE, edgecolor=INK, linewidth=1.1, zorder=1))
-    axes.add_patch(Rectangle((0, 0), span[1], height, facecolor="#eceef0", edgecolor="#c3c9ce", hatch="////", linewidth=0, zorder=1))
+    axes.add_patch(
+        Rectangle((-length, 0), length, height, facecolor=TISSUE, edgecolor=INK, linewidth=1.1, zorder=1)
+    )
+    axes.add_patch(Rectangle((0, 0), span[1], height, zorder=1, **HATCHED))
     axes.plot([0, 0], [0, height], color=INK, linewidth=2.2, solid_capstyle="butt", zorder=2)
     for vein in tissue.veins:
-        axes.add_patch(Polygon(np.array(vein.outline) * MM, facecolor=VEIN, edgecolor=VEIN_EDGE, linewidth=0.9, zorder=2))
+        axes.add_patch(
+            Polygon(np.array(vein.outline) * MM, facecolor=VEIN, edgecolor=VEIN_EDGE, linewidth=0.9, zorder=2)
+        )
     axes.spines[["left", "bottom"]].set_visible(False)
     axes.tick_params(left=False, labelleft=False, length=2, pad=1)
 
@@ -231,20 +233,34 @@ def _ghosts(frames: Sequence[TissueState]) -> list[int]:
     return sorted({int(i) for i in picks if 0 < i < last})
 
 
+def hidden_area(outline: Array, camera: Sequence[float]) -> Array:
+    """(k, 2) polygon that the flap hides from the camera: under the flap, down to the bed y = 0.
+
+    outline: (n, 2) from the foot of the fixed end along the lower surface and round; camera: (2,), y above 0.
+    """
+    ax, ay = camera
+    below = outline[:, 1] < ay
+    drop = np.where(below, ay - outline[:, 1], 1.0)
+    # where the ray through a node meets the bed
+    hits = np.where(below, ax + (outline[:, 0] - ax) * ay / drop, np.inf)
+    touch = int(np.argmin(hits))
+    return np.vstack((outline[: touch + 1], [(hits[touch], 0.0)]))
+
+
 def _draw_motion(axes: Axes, plan: Plan, limits: tuple[float, float, float, float]) -> None:
     frames, scene, limit = plan.certificate.frames, plan.scene, plan.certificate.strain_limit
-    topology = SectionTopology(plan.certificate.section)
+    topology = SectionTopology(drawn_frames(plan.certificate)[1])
     draw_surroundings(axes, scene, limits, clear=frames[-1].clearance >= 0)
     if len(frames) > 1:
         for depth, index in enumerate([0, *_ghosts(frames)]):
             ghost = FlapArtist(axes, topology, limit, fade=0.75 - 0.08 * depth, zorder=1.0 + 0.3 * depth)
             ghost.show(frames[index])
-            pads = JawArtist(axes, scene.jaws.width, fade=0.7, zorder=1.2 + 0.3 * depth)
+            pads = JawArtist(axes, scene, fade=0.7, zorder=1.2 + 0.3 * depth)
             pads.show(frames[index].jaws)
     final = FlapArtist(axes, topology, limit, zorder=3.0)
     final.show(frames[-1])
     final.mesh.set_gid("final flap")
-    jaws = JawArtist(axes, scene.jaws.width)
+    jaws = JawArtist(axes, scene)
     jaws.show(frames[-1].jaws)
     tracks = np.array([f.jaws for f in frames]).reshape(-1, 2, 2) * MM
     for side in (0, 1):

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from retract_env.scene import Tissue
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 GRID = 2.0**40
 """Vertices within length / GRID, 0.05 pm on 50 mm, share an abscissa; so no slope is too steep to compute."""
@@ -195,18 +196,15 @@ class SpringModel:
         """The local minima of k_eq from the free to the fixed end; without any, one basin fills the flap."""
         x = np.repeat(self.knots, 2)
         compliance = np.column_stack([self.left, self.right]).ravel()
-        first, last, soft = _turns(compliance, FLAT * compliance.max())
-        near, far = x[first], x[last]
-        # the softest of a flat minimum, the stiffest of a flat maximum: they differ by less than FLAT
-        pick = [np.max if is_soft else np.min for is_soft in soft]
-        k = [1 / f(compliance[a : b + 1]) for f, a, b in zip(pick, first, last, strict=True)]
-        basins = []
-        for i in np.flatnonzero(soft):
-            left, k_left = (far[i - 1], k[i - 1]) if i > 0 else (-self.length, k[i])
-            right, k_right = (near[i + 1], k[i + 1]) if i + 1 < len(k) else (0.0, math.inf)
-            middle, width = (near[i] + far[i]) / 2, far[i] - near[i]
-            basins.append(Basin(*map(float, (middle, width, left, right, k[i], k_left, k_right))))
-        return basins
+        first, best, last, soft = _turns(compliance, FLAT * compliance.max())
+        near, k, far = x[first], 1 / compliance[best], x[last]
+        # what lies before the first and after the last extremum: nothing to climb, and a wall
+        before, k_before = np.append(-self.length, far), np.append(k[0], k)
+        after, k_after = np.append(near, 0.0), np.append(k, math.inf)
+        i = np.flatnonzero(soft)
+        middle, width = (near[i] + far[i]) / 2, far[i] - near[i]
+        columns = (middle, width, before[i], after[i + 1], k[i], k_before[i], k_after[i + 1])
+        return [Basin(*row) for row in zip(*(column.tolist() for column in columns), strict=True)]
 
     def stable_grasps(
         self, strain_limit: float = 0.5, jaw_width: float = 1e-3, samples: int = 10
@@ -227,20 +225,19 @@ class SpringModel:
         basins = self.basins()
         if len(basins) == 1 and basins[0].width == self.length:
             places = np.unique(np.clip(-self.length * np.arange(1, samples + 1) / samples, low, high))
-            candidates = [(float(x), basins[0].k_eq, basins[0].k_n) for x in places]
+            candidates = [(x, basins[0].k_eq, basins[0].k_n) for x in places]
         else:
             candidates = []
             for basin in basins:
                 x, k = min(max(basin.x, low), high), basin.k_eq
-                if not basin.left < x < basin.right:
-                    continue
                 if x != basin.x:
                     k = float(self.k_eq(x))
-                candidates.append((x, k, max(k, basin.k_n)))
-        grasps = []
-        for x, k, k_n in candidates:
-            delta = float(optimal_compression(k, k_n, self.height, strain_limit))
-            grasps.append(Grasp(x, delta, k_n * delta**2 / 2))
+                if basin.left < x < basin.right:
+                    candidates.append((x, k, max(k, basin.k_n)))
+        at, k_eq, k_n = np.array(candidates).reshape(-1, 3).T
+        delta = optimal_compression(k_eq, k_n, self.height, strain_limit)
+        rows = zip(at.tolist(), delta.tolist(), (k_n * delta**2 / 2).tolist(), strict=True)
+        grasps = [Grasp(*row) for row in rows]
         return sorted(grasps, key=lambda grasp: (-grasp.score, grasp.x))
 
 
@@ -279,9 +276,7 @@ def _add(high: float, low: float, term: float) -> tuple[float, float]:
 
 
 @njit(cache=True)
-def _integrate(
-    grid: Array, bounds: NDArray[np.int64], amount: Array, kind: NDArray[np.int64]
-) -> tuple[Array, Array]:
+def _integrate(grid: Array, bounds: Indices, amount: Array, kind: Indices) -> tuple[Array, Array]:
     """Values left and right (m,) of each grid point (m,), zero where no edge is open.
 
     Events bounds[i]:bounds[i+1] happen at grid[i]: kind +1 or -1 adds `amount` to the slope, 0 to the value.
@@ -296,31 +291,27 @@ def _integrate(
             value, value_low = _add(value, value_low, slope * step)
             value, value_low = _add(value, value_low, slope_low * step)
         left[i] = value
-        jumps = False
         for e in range(bounds[i], bounds[i + 1]):
             if kind[e] == 0:
-                jumps = True
                 value, value_low = _add(value, value_low, amount[e])
             else:
                 still_open += kind[e]
                 slope, slope_low = _add(slope, slope_low, amount[e])
         if still_open == 0:
             value, value_low, slope, slope_low = 0.0, 0.0, 0.0, 0.0
-            if not jumps:
-                left[i] = 0.0
         right[i] = value
     return left, right
 
 
 @njit(cache=True)
-def _turns(values: Array, tolerance: float) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
+def _turns(values: Array, tolerance: float) -> tuple[Indices, Indices, Indices, NDArray[np.bool_]]:
     """Local extrema of values (n,) that stand out by more than `tolerance`, high and low in turn, ends too.
 
-    Returns for each the first and the last index of the run within `tolerance` of it, and whether it is high.
-    Values that are all alike are one high.
+    Returns for each the first index of the run within `tolerance` of it, its own, the run's last, and whether
+    it is high. Values that are all alike are one high.
     """
     n = values.size
-    first, last, maximum = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.bool_)
+    runs, is_high = np.empty((3, n), np.int64), np.empty(n, np.bool_)
     count, high, low, heading = 0, 0, 0, 0  # heading: +1 up, -1 down, 0 not known yet
     for i in range(n + 1):
         if i < n:
@@ -340,8 +331,8 @@ def _turns(values: Array, tolerance: float) -> tuple[NDArray[np.int64], NDArray[
             a -= 1
         while b < n - 1 and abs(values[b + 1] - values[at]) <= tolerance:
             b += 1
-        first[count], last[count], maximum[count] = a, b, fell
+        runs[0, count], runs[1, count], runs[2, count], is_high[count] = a, at, b, fell
         count += 1
         heading = -1 if fell else 1
         high, low = i, i
-    return first[:count], last[:count], maximum[:count]
+    return runs[0, :count], runs[1, :count], runs[2, :count], is_high[:count]

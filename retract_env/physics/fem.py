@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 
 SMALLEST_CUT = 1 / 64
 """Part of a step below which it is not cut any further."""
+FIRST_PART = 0.1
+"""Part of a step that is tried first after a corner of the path."""
 MEMORY = 4
 """Equilibria that the extrapolating predictor looks back on."""
 
@@ -61,6 +63,7 @@ class FemPhysics:
         self._u, self._force = self.equilibrium.solve(u)
         self.seconds["equilibrium"] += time.perf_counter() - start
         self._progress = 0.0
+        self._history.append((0.0, self._u))
         return self.state()
 
     def move_to(self, pose: Array, progress: float | None = None) -> TissueState:
@@ -71,7 +74,8 @@ class FemPhysics:
         pose = np.asarray(pose, float)
         start_pose, target = self._pose, progress
         begin = self._progress
-        done, part = 0.0, 1.0
+        # With one equilibrium to look back on, the tangent predicts: small steps first, until two or more of them predict better.
+        done, part = 0.0, FIRST_PART if len(self._history) == 1 else 1.0
         start = time.perf_counter()
         try:
             while done < 1.0:
@@ -86,6 +90,7 @@ class FemPhysics:
                         raise
                 else:
                     done = share
+                    part *= 3
         finally:
             self.seconds["equilibrium"] += time.perf_counter() - start
         self._pose = pose

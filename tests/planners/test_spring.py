@@ -253,11 +253,23 @@ def test_two_halves_that_touch_are_one_vein() -> None:
         assert [b.x for b in model.basins()] == pytest.approx([b.x for b in whole.basins()], rel=1e-12)
 
 
-# --- many vertices
+# --- many vertices, and edges of all slopes
+
+
+def test_edges_that_are_vertical_but_for_rounding_are_vertical() -> None:
+    upright, leaning = box(-0.03, -0.02), box(-0.03, -0.02)
+    leaning[[0, 2], 0] = np.nextafter(leaning[[0, 2], 0], [0, -L])
+    for model in (flap(leaning), flap(leaning[::-1])):
+        assert model.knots.size == 4
+        np.testing.assert_allclose(model.left, flap(upright).left, rtol=1e-15)
+        np.testing.assert_allclose(model.right, flap(upright).right, rtol=1e-15)
+    # the smallest number next to 0 makes a slope beyond all numbers
+    (basin,) = flap([(-0.02, 0.001), (0, 0.001), (-5e-324, 0.003), (-0.02, 0.003)]).basins()
+    assert (basin.x, basin.width, basin.right) == pytest.approx((-0.035, 0.03, -0.02), rel=1e-12)
 
 
 def test_twenty_five_thousand_steep_teeth_leave_no_rounding_behind() -> None:
-    """A comb with known heights on a sloping back: flanks of slope 1e9 must not spoil the slope of the back."""
+    """A comb with known heights on a sloping back: flanks of slope 1e9 must not spoil the back's slope."""
     n = 25_000
     rng = np.random.default_rng(1)
     pitch = 0.9 * L / n
@@ -290,6 +302,7 @@ def test_a_fine_ellipse_has_one_maximum_and_the_chord_of_an_ellipse() -> None:
     left, right = model.basins()
     assert left.right == pytest.approx(-0.025, abs=1e-6)
     assert left.k_right == right.k_left
+    assert left.k_eq == right.k_eq == 1 / (H / E)  # whatever the vein between them rounds to
     x = np.linspace(-0.034, -0.016, 50)
     chord = 0.004 * np.sqrt(1 - ((x + 0.025) / 0.01) ** 2)
     # a side of the polygon misses its arc by (2 pi / n)^2 / 8 = 5e-10 of the radius

@@ -20,19 +20,19 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from retract_env.sampling import SceneRanges
 from retract_env.scene import (
-    MIN_GAP,
     Jaws,
     Limits,
     LineOfSight,
     Scene,
     SceneError,
-    SceneRanges,
     Tissue,
     Vein,
     load_scene,
     sample_scene,
 )
+from retract_env.veins import MIN_GAP
 
 SCENES = Path(__file__).resolve().parents[2] / "configs" / "scenes"
 LENGTH, HEIGHT = 0.05, 0.0044  # m

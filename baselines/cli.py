@@ -1,0 +1,346 @@
+"""The console command `retract`.
+
+Exit 0: certified, or done. 1: nothing certified, with the reasons. 2: bad input, one line on standard error.
+130: interrupted. What is heavy is imported inside the commands, so that `retract --help` answers at once.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import importlib.util
+import json
+import time
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from baselines.files import output_folder, write_json, written_whole
+
+if TYPE_CHECKING:
+    from planners.base import Plan
+    from planners.certify import Certificate
+    from retract_env.grasp import Grasp, JawPath
+    from retract_env.scene import Scene
+
+MM = 1e3
+
+app = typer.Typer(
+    help="Plan surgical tissue retractions and certify them with finite elements.",
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+)
+
+Resolution = Literal["fine", "medium", "coarse"]
+ResolutionOption = Annotated[
+    Resolution, typer.Option(help="Mesh of the finite elements; `fine` is for certificates.")
+]
+VerifyOption = Annotated[
+    bool, typer.Option("--verify", help="Repeat it on a finer mesh and report the differences.")
+]
+
+
+class BadInput(Exception):
+    """What the user gave cannot be used; the message is one line. Exit 2."""
+
+
+class NotCertified(Exception):
+    """The work was done and nothing is certified; the message says why. Exit 1."""
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the command with these arguments (default: the process's) and return its exit code."""
+    try:
+        code = app(None if args is None else list(args), prog_name="retract", standalone_mode=False)
+    except Exception as problem:
+        # A wrong option or argument. Its class has moved between typer's releases; this method stays.
+        if not hasattr(problem, "format_message"):
+            raise
+        message = problem.format_message()
+        if message:  # none where no command was given: typer has printed the help
+            _tell_error(message)
+        return 2
+    return code if isinstance(code, int) else 0
+
+
+def _print_version(asked: bool) -> None:
+    if asked:
+        from retract_env import __version__
+
+        typer.echo(f"retract {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", help="Print the version.", callback=_print_version, is_eager=True)
+    ] = False,
+) -> None:
+    """Options that stand before the command."""
+
+
+@app.command("plan")
+def plan_command(
+    scene_file: Annotated[
+        Path, typer.Argument(metavar="SCENE", help="A scene in YAML, such as configs/scenes/ten_veins.yaml.")
+    ],
+    planner: Annotated[str, typer.Option(help="The planner's name.")] = "ctc",
+    out: Annotated[
+        Path, typer.Option(help="Folder for plan.json, certificate.json and the pictures.")
+    ] = Path("out"),
+    resolution: ResolutionOption = "fine",
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Threads; as many as cores if not given.")
+    ] = None,
+    verify: VerifyOption = False,
+    pictures: Annotated[
+        bool, typer.Option("--pictures/--no-pictures", help="Draw retraction.png and the film.")
+    ] = True,
+    film: Annotated[Literal["gif", "mp4"], typer.Option("--format", help="Format of the film.")] = "gif",
+) -> None:
+    """Find the certified retraction with least strain, and write it with its certificate and pictures."""
+    clock = Clock()
+    with _exit_codes(), ExitStack() as stack:
+        if pictures and film == "mp4" and importlib.util.find_spec("imageio_ffmpeg") is None:
+            raise BadInput("--format mp4 needs imageio-ffmpeg: pip install 'retract[video]', or choose gif")
+        with clock.phase("imports"):
+            from retract_env.scene import load_scene
+        scene = _checked(lambda: load_scene(scene_file))
+        folder = stack.enter_context(_usable_folder(out))
+        with clock.phase("imports"):
+            import planners
+            from baselines.candidates import CandidateTable
+            from planners.base import NoPlan
+        _check_planner(planner, planners.PLANNERS)
+        _announce_compilation()
+        with clock.phase("planning"), CandidateTable() as table:
+            try:
+                best = planners.plan(
+                    scene, planner=planner, resolution=resolution, workers=workers, on_update=table.update
+                )
+            except NoPlan as none:
+                table.update(none.candidates)
+                raise NotCertified(f"no plan certified: {none}") from None
+            table.update(best.candidates)
+            table.choose(best.grasp)
+        if verify:
+            from planners.certify import verified
+
+            with clock.phase("verification"):
+                certificate = verified(best.certificate, scene, best.grasp, best.path)
+            best = dataclasses.replace(best, certificate=certificate)
+        _report(best.certificate)
+        written = _write_plan(best, folder, film if pictures else None, clock)
+        typer.echo("written: " + ", ".join(str(path) for path in written))
+        typer.echo(clock.summary(best.timings))
+
+
+@app.command("certify")
+def certify_command(
+    plan_file: Annotated[
+        Path, typer.Argument(metavar="PLAN.json", help="A plan written by `retract plan`, or by hand.")
+    ],
+    resolution: ResolutionOption = "fine",
+    verify: VerifyOption = False,
+    out: Annotated[Path | None, typer.Option(help="File for the certificate, in JSON.")] = None,
+) -> None:
+    """Simulate the retraction of a plan and judge it."""
+    clock = Clock()
+    with _exit_codes(), ExitStack() as stack:
+        data = _read_json(plan_file)
+        with clock.phase("imports"):
+            import planners
+        scene, grasp, path = _read_plan(plan_file, data)
+        if out is not None:
+            stack.enter_context(_usable_folder(out.parent))
+            _check_no_folder(out)
+        _announce_compilation()
+        with clock.phase("simulation"):
+            certificate = planners.certify(scene, grasp, path, resolution=resolution, verify=verify)
+        if out is not None:
+            with _writing(out), written_whole(out) as temporary:
+                write_json(temporary, certificate.to_json())
+            typer.echo(f"written: {out}")
+        typer.echo(clock.summary())
+        _report(certificate)
+
+
+class Clock:
+    """Seconds by phase, to say where the time goes."""
+
+    def __init__(self) -> None:
+        self.start = time.perf_counter()
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def phase(self, name: str) -> Iterator[None]:
+        start = time.perf_counter()
+        yield
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+
+    def summary(self, work: Mapping[str, float] | None = None) -> str:
+        """One line of wall-clock, and one of `work`: s by kind, summed over threads."""
+        phases = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in self.seconds.items())
+        line = f"time: {time.perf_counter() - self.start:.1f} s; {phases}"
+        parts = {name: seconds for name, seconds in (work or {}).items() if name != "total"}
+        if parts:
+            largest_first = sorted(parts.items(), key=lambda item: -item[1])
+            line += "\n  planning, summed over threads: " + ", ".join(
+                f"{name} {s:.1f} s" for name, s in largest_first
+            )
+        return line
+
+
+def describe(certificate: Certificate) -> str:
+    """The verdict of a certificate and its margins, on one line."""
+    c = certificate
+    verdict = {
+        "ok": "certified",
+        "not_visible": "not certified: tissue stays below the line of sight",
+        "strain": "not certified: too much strain",
+        "slip": "not certified: a jaw slips",
+        "release": "not certified: a jaw lets go",
+        "diverged": "not certified: no equilibrium was found",
+    }.get(c.reason, f"not certified: {c.reason}")
+    facts = (
+        f"grasp {c.grasp['x'] * MM:.2f} mm",
+        f"compression {c.grasp['compression'] * MM:.2f} mm",
+        f"strain {c.max_strain:.3f} of {c.strain_limit:g}",
+        f"friction {c.required_friction:.2f} of {c.friction_limit:g}",
+        f"clearance {c.clearance * MM:.2f} mm",
+    )
+    return f"{verdict}; {', '.join(facts)}"
+
+
+def _report(certificate: Certificate) -> None:
+    """Print the verdict, and the finer mesh's where there is one. Raises NotCertified."""
+    if not certificate.certified:
+        raise NotCertified(describe(certificate))
+    typer.echo(describe(certificate))
+    if certificate.verification is not None:
+        _report_finer(certificate.verification)
+
+
+def _report_finer(finer: Mapping[str, Any]) -> None:
+    mesh = f"the {finer['resolution']} mesh of {finer['nodes']} nodes"
+    if finer["reason"] != "ok":
+        raise NotCertified(f"not certified on {mesh}: {finer['reason']}")
+    typer.echo(
+        f"verified on {mesh}: strain {finer['max_strain']:.3f} ({finer['max_strain_difference']:+.1%} here), "
+        f"friction {finer['required_friction']:.2f} ({finer['required_friction_difference']:+.2f} here)"
+    )
+
+
+def _write_plan(plan: Plan, folder: Path, film: str | None, clock: Clock) -> list[Path]:
+    """Write plan, certificate and pictures into the folder, all of them or none; returns their paths."""
+    files: dict[str, Callable[[Path], None]] = {
+        "plan.json": lambda path: write_json(path, plan.to_json()),
+        "certificate.json": lambda path: write_json(path, plan.certificate.to_json()),
+    }
+    if film is not None:
+        with clock.phase("imports"):
+            from baselines.animation import animate_retraction
+            from baselines.pictures import draw_retraction
+        files["retraction.png"] = lambda path: draw_retraction(plan, path)
+        files[f"retraction.{film}"] = lambda path: animate_retraction(plan, path)
+    with _writing(folder), clock.phase("pictures and files"), ExitStack() as all_or_none:
+        for name, write in files.items():
+            write(all_or_none.enter_context(written_whole(folder / name)))
+    return [folder / name for name in files]
+
+
+def _read_json(file: Path) -> Any:
+    try:
+        return json.loads(file.read_text(encoding="utf-8"))
+    except OSError as problem:
+        raise BadInput(f"{file}: {_why(problem)}") from None
+    except (ValueError, RecursionError) as problem:
+        raise BadInput(f"{file}: not readable as JSON: {problem}") from None
+
+
+def _read_plan(file: Path, data: Any) -> tuple[Scene, Grasp, JawPath]:
+    from planners.base import plan_from_json
+    from planners.certify import Trial
+
+    try:
+        scene, grasp, path = plan_from_json(data)
+        Trial(scene, grasp, path)  # whether they belong together
+    except (ValueError, OverflowError) as problem:  # a whole number may be too long for a float
+        raise BadInput(f"{file}: {problem}") from None
+    return scene, grasp, path
+
+
+def _checked(load: Callable[[], Scene]) -> Scene:
+    from retract_env.scene import SceneError
+
+    try:
+        return load()
+    except SceneError as problem:
+        raise BadInput(str(problem)) from None
+
+
+def _check_planner(name: str, known: Collection[str]) -> None:
+    if name not in known:
+        close = difflib.get_close_matches(name, known, n=1)
+        hint = f"; did you mean {close[0]}?" if close else ""
+        raise BadInput(f"unknown planner {name!r}, allowed {', '.join(sorted(known))}{hint}")
+
+
+def _check_no_folder(file: Path) -> None:
+    if file.is_dir():
+        raise BadInput(f"{file}: is a folder")
+
+
+@contextmanager
+def _usable_folder(path: Path) -> Iterator[Path]:
+    """`output_folder`, its own errors as BadInput; those of the block pass."""
+    with ExitStack() as stack:
+        with _writing(path):
+            folder = stack.enter_context(output_folder(path))
+        yield folder
+
+
+@contextmanager
+def _writing(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as problem:
+        raise BadInput(f"cannot write {problem.filename or path}: {_why(problem)}") from None
+
+
+def _announce_compilation() -> None:
+    """Numba compiles the kernels on the first run, for long enough that a user wonders."""
+    import retract_env.fem
+
+    cached = getattr(retract_env.fem, "kernels_are_cached", None)
+    if cached is not None and not cached():
+        typer.echo("first run: compiling the finite-element kernels, which are then kept")
+
+
+def _why(problem: OSError) -> str:
+    return (problem.strerror or str(problem)).lower()
+
+
+def _tell_error(message: str) -> None:
+    typer.echo("error: " + " ".join(message.split()), err=True)
+
+
+@contextmanager
+def _exit_codes() -> Iterator[None]:
+    """What may be expected to go wrong, as one line and an exit code."""
+    try:
+        yield
+    except BadInput as problem:
+        _tell_error(str(problem))
+        raise typer.Exit(2) from None
+    except NotCertified as verdict:
+        typer.echo(str(verdict))
+        raise typer.Exit(1) from None
+    except KeyboardInterrupt:
+        typer.echo("interrupted", err=True)
+        raise typer.Exit(130) from None

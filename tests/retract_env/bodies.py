@@ -1,0 +1,156 @@
+"""Bodies that the tests deform: the flap as a prism, any body's fields, and a plain Newton solver."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from retract_env.fem.assembly import Assembly
+from retract_env.fem.elements import ElementBlock, lame
+from retract_env.fem.linear import cholesky
+from retract_env.fem.prism import Prism
+from retract_env.mesh import SectionMesh
+from retract_env.scene import Jaws, LineOfSight, Scene, Tissue, Vein
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Field = Callable[[Array], Array]
+
+LENGTH, HEIGHT = 0.05, 0.0044
+EPS = float(np.finfo(float).eps)
+
+
+def flap(
+    length: float = LENGTH,
+    height: float = HEIGHT,
+    depth: float = HEIGHT,
+    modulus: float = 40e3,
+    poisson: float = 0.45,
+    veins: Sequence[Vein] = (),
+    gravity: float = 9.8,
+    bed: bool = True,
+    jaws: Jaws | None = None,
+) -> Scene:
+    """The paper's homogeneous flap (Sec. V), B at a quarter of its length, with changes."""
+    return Scene(
+        name="test",
+        tissue=Tissue(
+            length=length,
+            height=height,
+            depth=depth,
+            density=1000.0,
+            modulus=modulus,
+            poisson=poisson,
+            veins=tuple(veins),
+        ),
+        line_of_sight=LineOfSight.at(-0.25 * length, np.pi / 4),
+        jaws=jaws or Jaws(),
+        gravity=gravity,
+        bed=bed,
+    )
+
+
+def square_vein(x: float, y: float, half: float, modulus: float = 200e3, poisson: float = 0.45) -> Vein:
+    corners = [(x - half, y - half), (x + half, y - half), (x + half, y + half), (x - half, y + half)]
+    return Vein(outline=tuple(corners), modulus=modulus, poisson=poisson)
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Body:
+    """Element blocks with the place of every unknown."""
+
+    blocks: Sequence[ElementBlock]
+    size: int
+    dofs: tuple[Ints, Ints, Ints]
+    """unknowns u_x, u_y, u_z of the nodes; the first nodes have no u_z where they lie on a mirror, z = 0"""
+    at: Array
+    """(n, 3) m, rest position of each node"""
+
+    @property
+    def mirrored(self) -> bool:
+        return len(self.dofs[2]) < len(self.at)
+
+    @cached_property
+    def whole(self) -> Assembly:
+        """Assembly with every unknown free."""
+        return self.assembly(np.ones(self.size, bool))
+
+    def assembly(self, free: NDArray[np.bool_]) -> Assembly:
+        """free: (size,)."""
+        return Assembly(self.blocks, self.size, np.flatnonzero(free).astype(np.int32))
+
+    def vectors(self, u: Array) -> Array:
+        """Unknowns (size,) as a vector a node (n, 3)."""
+        out = np.zeros_like(self.at)
+        for i, dofs in enumerate(self.dofs):
+            out[len(self.at) - len(dofs) :, i] = u[dofs]
+        return out
+
+    def unknowns(self, vectors: Array) -> Array:
+        """The inverse of `vectors`, (n, 3) to (size,)."""
+        out = np.empty(self.size, vectors.dtype)
+        for i, dofs in enumerate(self.dofs):
+            out[dofs] = vectors[len(self.at) - len(dofs) :, i]
+        return out
+
+    def affine(self, F: ArrayLike, shift: ArrayLike = (0, 0, 0)) -> Array:
+        """Unknowns of x -> F x + shift."""
+        return self.unknowns(self.at @ np.asarray(F, float).T + np.asarray(shift, float) - self.at)
+
+
+def prism_body(scene: Scene, section: SectionMesh, triangle_points: int = 3) -> Body:
+    """The half depth of a flap, as the product meshes it."""
+    prism = Prism(section, scene, triangle_points)
+    nodes, levels = np.arange(len(section.points), dtype=np.int32), np.arange(prism.levels, dtype=np.int32)
+    at = np.concatenate([np.column_stack([section.points, np.full(len(nodes), z)]) for z in prism.z])
+    dofs = [prism.x(nodes, levels), prism.y(nodes, levels), prism.w(nodes, levels[1:])]
+    x, y, w = (d.astype(np.int64) for d in dofs)
+    return Body(prism.blocks, prism.size, (x, y, w), at)
+
+
+def deformation(block: ElementBlock, u: Array) -> Array:
+    """Deformation gradients (m, q, 3, 3), in NumPy."""
+    gxy, gz = block.by_element(block.gxy), block.by_element(block.gz)
+    dofs = np.moveaxis(block.dofs, -1, 1).reshape(-1, block.dofs.shape[1])[: block.count]
+    ux, uy, uz = np.split(u[dofs], [gxy.shape[3], 2 * gxy.shape[3]], axis=1)
+    rows = [np.einsum("ma,mqja->mqj", v, g) for v, g in ((ux, gxy), (uy, gxy), (uz, gz))]
+    return np.stack(rows, axis=2) + np.eye(3)
+
+
+def stress(F: Array, modulus: ArrayLike, poisson: ArrayLike) -> Array:
+    """First Piola-Kirchhoff stress (..., 3, 3) Pa of the logarithmic neo-Hookean solid."""
+    mu, lam = (v[..., None, None] for v in lame(np.asarray(modulus), np.asarray(poisson)))
+    log_j = np.log(np.linalg.det(F))[..., None, None]
+    return mu * F + (lam * log_j - mu) * np.swapaxes(np.linalg.inv(F), -1, -2)
+
+
+def relax(assembly: Assembly, u: Array, load: Array | float = 0.0) -> tuple[Array, Array]:
+    """Equilibrium to rounding, by Newton with a line search: u (n,) m and the forces (n,) N that hold it."""
+    free = assembly.free
+    factor = cholesky(assembly.indptr, assembly.indices)
+    energy, force = assembly.residual(u)
+    best = np.inf
+    for _ in range(60):
+        out = force - load
+        norm = float(np.linalg.norm(out[free]))
+        scale = float(np.linalg.norm(force) + np.linalg.norm(load))
+        if norm <= 1e-13 * scale or (norm < 1e-9 * scale and norm > 0.5 * best):
+            return u, out
+        best = min(best, norm)
+        factor.factorize(assembly.tangent(u))
+        step = np.zeros_like(u)
+        step[free] = -factor.solve(out[free])
+        length, potential = 1.0, energy - float(np.sum(load * u))
+        while True:
+            trial = u + length * step
+            energy, force = assembly.residual(trial)
+            if energy - float(np.sum(load * trial)) <= potential + 1e-9 * abs(potential):
+                break
+            length /= 2
+            assert length > 1e-9, "no descent"
+        u = trial
+    raise AssertionError("no equilibrium")
