@@ -16,7 +16,11 @@ __all__ = ["PLANNERS", "Candidate", "Certificate", "NoPlan", "Plan", "certify", 
 
 
 def _ctc(
-    scene: Scene, *, resolution: str, workers: int | None, on_update: Callable[[Sequence[Candidate]], None] | None
+    scene: Scene,
+    *,
+    resolution: str,
+    workers: int | None,
+    on_update: Callable[[Sequence[Candidate]], None] | None,
 ) -> Plan:
     """The paper's planner: grasps of the spring model, CTC paths. Sec. IV."""
     grasps = SpringModel(scene.tissue).stable_grasps(scene.limits.strain, scene.jaws.width)
@@ -36,9 +40,9 @@ def plan(
 ) -> Plan:
     """Find a retraction that meets all three objectives, certified.
 
-    planner: a name in PLANNERS; resolution: of the finite elements that certify; workers: candidates side by side, one a core by
-    default. on_update is called, from the thread that works, whenever a candidate changed.
-    Raises NoPlan, with what was tried, where nothing is certified; ValueError for an unknown name.
+    planner: a name in PLANNERS; resolution: of the finite elements that certify; workers: candidates side by
+    side, one a core by default. on_update is called, from the thread that works, whenever a candidate
+    changed. Raises NoPlan, with what was tried, where nothing is certified; ValueError for an unknown name.
     """
     if planner not in PLANNERS:
         close = get_close_matches(planner, PLANNERS, 1)

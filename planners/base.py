@@ -39,7 +39,11 @@ class Candidate:
             return None if math.isnan(x) else x if math.isfinite(x) else str(x)
 
         return {
-            "grasp": {"x": self.grasp.x, "compression": self.grasp.compression, "score": number(self.grasp.score)},
+            "grasp": {
+                "x": self.grasp.x,
+                "compression": self.grasp.compression,
+                "score": number(self.grasp.score),
+            },
             "path": self.path.kind,
             "reason": self.reason,
             "max_strain": number(self.max_strain),
@@ -51,7 +55,8 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Plan:
-    """A certified retraction: grasp and path, the certificate, and every candidate that was tried, best score first."""
+    """A certified retraction: grasp and path, the certificate, and every candidate that was tried, best score
+    first."""
 
     scene: Scene
     planner: str
@@ -63,7 +68,7 @@ class Plan:
     """s of work by kind, summed over threads; "total" is wall-clock"""
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data that `plan_from_json` reads back; timings stay out, so the same plan is the same file."""
+        """Plain data that `plan_from_json` reads back; no wall-clock is in it."""
         return {
             "scene": self.scene.dump(),
             "planner": self.planner,
@@ -89,7 +94,8 @@ def plan_from_json(data: Mapping[str, Any]) -> tuple[Scene, Grasp, JawPath]:
 
 
 class NoPlan(Exception):
-    """No candidate was certified. The message counts the reasons: 9 candidates: 6 strain, 2 slip, 1 not_visible."""
+    """No candidate was certified. The message counts the reasons: 9 candidates: 6 strain, 2 slip, 1
+    not_visible."""
 
     def __init__(self, candidates: Sequence[Candidate], detail: str = ""):
         self.candidates = tuple(candidates)
@@ -102,6 +108,11 @@ class Planner(Protocol):
     """A planner by name in PLANNERS."""
 
     def __call__(
-        self, scene: Scene, *, resolution: str, workers: int | None, on_update: Callable[[Sequence[Candidate]], None] | None
+        self,
+        scene: Scene,
+        *,
+        resolution: str,
+        workers: int | None,
+        on_update: Callable[[Sequence[Candidate]], None] | None,
     ) -> Plan:
         """Raises NoPlan."""

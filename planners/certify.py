@@ -1,7 +1,8 @@
 """The judge: follows any jaw path through the finite elements and says what became of it. Sec. III-C, IV-A.
 
-A retraction is only as good as its certificate. The certifier knows nothing of who proposed the path. It follows it in increments,
-measures the three objectives after each, and stops at success or at the first broken limit.
+A retraction is only as good as its certificate. The certifier knows nothing of who proposed the path. It
+follows it in increments, measures the three objectives after each, and stops at success or at the first
+broken limit.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
 
@@ -18,7 +19,7 @@ import numpy as np
 from retract_env import __version__
 from retract_env.fem.solver import Diverged
 from retract_env.grasp import Grasp, JawPath
-from retract_env.mesh import RESOLUTIONS, SectionMesh
+from retract_env.mesh import RESOLUTIONS, SectionMesh, patch_ends
 from retract_env.physics.base import TissueState
 from retract_env.physics.fem import FemPhysics
 from retract_env.scene import Scene
@@ -29,6 +30,10 @@ LONGEST_STEP = 1.5e-3
 """m, farthest that a jaw moves in one increment; longer steps between waypoints are divided."""
 ON_TIME = 2e-5
 """m, the moment of visibility is met within this clearance."""
+MOST_TIMINGS = 12
+"""Solutions spent on that moment; tissue that snaps past the line never meets it."""
+FARTHEST = 10.0
+"""m, from the origin, that a path may lead; jaws as far away as that hold nothing any more."""
 FINER = {"coarse": "medium", "medium": "fine", "fine": "finer"}
 
 
@@ -77,7 +82,8 @@ class Certificate:
         text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
         if hashlib.sha256(text.encode()).hexdigest() != data["hash"]:
             raise ValueError("certificate: its content does not match its hash")
-        return cls(**content | {"required_friction": _number(content["required_friction"])})
+        numbers = ("required_friction", "history", "verification")
+        return cls(**content | {name: _numbers(content[name]) for name in numbers})
 
 
 def _finite(value: Any) -> Any:
@@ -91,19 +97,38 @@ def _finite(value: Any) -> Any:
     return value
 
 
-def _number(value: float | str) -> float:
-    return float(value)
+def _numbers(value: Any) -> Any:
+    """The inverse of `_finite`, for values that hold no names of that sort."""
+    if value in ("inf", "-inf", "nan"):
+        return float(value)
+    if isinstance(value, dict):
+        return {k: _numbers(v) for k, v in value.items()}
+    if isinstance(value, list):
+        return [_numbers(v) for v in value]
+    return value
 
 
 class Trial:
     """One retraction under way: squeeze it, then move it. Both may be called from any thread, one at a time."""
 
     def __init__(self, scene: Scene, grasp: Grasp, path: JawPath, resolution: str = "fine"):
-        """Raises ValueError where the grasp is off the flap or the path does not begin on it."""
+        """Raises ValueError for a grasp off the flap, a path that does not begin there, or an unknown resolution."""
+        if resolution not in RESOLUTIONS:
+            raise ValueError(f"resolution = {resolution!r}, allowed {', '.join(RESOLUTIONS)}")
         grasp.check_inside(scene.tissue.length, scene.tissue.height)
-        start = np.array([grasp.x, 0.0, grasp.x, scene.tissue.height])
-        if not np.allclose(path.waypoints[0], start, atol=1e-6 * scene.tissue.length):
-            raise ValueError(f"path.waypoints[0] = {path.waypoints[0].tolist()} m, allowed the grasp at rest {start.tolist()} m")
+        patch_ends(scene, grasp.x)
+        # Squeezed in place too: the closing jaws are not judged, so no motion may hide there.
+        height, half = scene.tissue.height, grasp.compression / 2
+        for row, gap, state in ((0, 0.0, "at rest"), (1, half, "squeezed")):
+            start = np.array([grasp.x, gap, grasp.x, height - gap])
+            if not np.allclose(path.waypoints[row], start, rtol=0, atol=1e-6 * scene.tissue.length):
+                found = path.waypoints[row].tolist()
+                raise ValueError(
+                    f"path.waypoints[{row}] = {found} m, allowed the grasp {state} {start.tolist()} m"
+                )
+        far = float(np.abs(path.waypoints).max())
+        if far > FARTHEST:
+            raise ValueError(f"path.waypoints reach {far:g} m from the fixed end, allowed {FARTHEST:g} m")
         self.scene, self.grasp, self.path, self.resolution = scene, grasp, path, resolution
         self.frames: list[TissueState] = []
         self.reason: str | None = None
@@ -120,15 +145,25 @@ class Trial:
         return self.frames[-1].clearance if self.frames else math.nan
 
     def squeeze(self) -> None:
-        """Mesh the flap, let it rest on its bed and close the jaws. Its strain bounds that of the whole retraction from below."""
+        """Mesh the flap, let it rest on its bed and close the jaws; starts anew when called again.
+
+        The strain of the squeeze bounds that of the whole retraction from below.
+        """
         self.physics = FemPhysics(self.scene, self.grasp.x, self.resolution)
-        self.frames.append(self.physics.state())
+        self.frames = [self.physics.state()]
+        self.reason, self.max_strain, self.required_friction = None, 0.0, 0.0
+        try:
+            self.frames = [self.physics.reset()]
+        except Diverged:
+            self.reason = "diverged"
         for part in np.linspace(0, 1, SQUEEZE_INCREMENTS + 1)[1:]:
             if not self.ended:
                 self._advance(float(part))
         self.physics.turn()
 
-    def move(self, bound: Callable[[], float] = lambda: math.inf, on_increment: Callable[[], None] = lambda: None) -> None:
+    def move(
+        self, bound: Callable[[], float] = lambda: math.inf, on_increment: Callable[[], None] = lambda: None
+    ) -> None:
         """Follow the path to success, a broken limit, or its end.
 
         bound: asked after each increment; a strain above it ends the trial with the reason "pruned".
@@ -142,21 +177,20 @@ class Trial:
                 return
             before = self.frames[-1]
             self._advance(target)
-            if not self.ended and self.clearance >= 0:
+            if self.reason != "diverged" and self.clearance >= 0:
                 self._time_visibility(before)
                 self.reason = self.reason or "ok"
             on_increment()
         self.reason = self.reason or "not_visible"
 
-    def _increments(self) -> list[float]:
+    def _increments(self) -> Iterator[float]:
         """Progress at each increment of the motion: every waypoint, long steps divided."""
         jaws = self.path.waypoints
-        out: list[float] = []
         for k in range(2, len(jaws)):
             step = np.abs(jaws[k] - jaws[k - 1]).reshape(2, 2)
             pieces = max(1, math.ceil(float(np.hypot(*step.T).max()) / LONGEST_STEP))
-            out.extend(k - 1 + (i + 1) / pieces for i in range(pieces))
-        return out
+            for i in range(pieces):
+                yield k - 1 + (i + 1) / pieces
 
     def _advance(self, progress: float) -> None:
         assert self.physics is not None
@@ -182,29 +216,46 @@ class Trial:
         elif friction > limits.friction:
             self.reason = "slip"
 
-    def _time_visibility(self, before: TissueState) -> None:
-        """Shorten the last increment until the tissue has just cleared the line (regula falsi, Illinois)."""
-        assert self.physics is not None
-        hidden, seen = before.progress, self.frames[-1].progress
-        low, high = before.clearance, self.frames[-1].clearance
-        for _ in range(8):
-            if high <= ON_TIME or self.ended:
+    def _time_visibility(self, hidden: TissueState) -> None:
+        """Shorten the last increment until the tissue has just cleared the line (regula falsi, Illinois).
+
+        The trial ends on the first state seen to clear it, unless a limit breaks before.
+        """
+        seen = self.frames[-1]
+        # distances to the middle of what counts as on time; an end that stays is halved, lest it stay for good
+        low, high = hidden.clearance - ON_TIME / 2, seen.clearance - ON_TIME / 2
+        moved = ""
+        for _ in range(MOST_TIMINGS):
+            if seen.clearance <= ON_TIME:
                 return
-            overshot = self.frames.pop()
-            target = hidden + (seen - hidden) * min(0.95, max(0.05, (ON_TIME / 2 - low) / (high - low)))
-            self.max_strain = max(f.max_strain for f in self.frames)
-            self.required_friction = max((float(f.required_friction.max()) for f in self.frames if f.progress >= 1), default=0.0)
-            self._advance(target)
+            self._take_back()
+            part = min(0.95, max(0.05, low / (low - high)))
+            self._advance(hidden.progress + (seen.progress - hidden.progress) * part)
             if self.reason == "diverged":  # what was reached counts
                 self.reason = None
-                self._judge(overshot)
+                self._judge(seen)
                 return
-            if self.clearance >= 0:
-                seen, high, low = target, self.clearance, low / 2
+            state = self.frames[-1]
+            if state.clearance >= 0:
+                seen, high = state, state.clearance - ON_TIME / 2
+                low = low / 2 if moved == "seen" else low
+                moved = "seen"
+            elif self.ended:
+                return
             else:
-                hidden, low, high = target, self.clearance, high / 2
-                if not self.ended:
-                    self._judge(overshot)
+                hidden, low = state, state.clearance - ON_TIME / 2
+                high = high / 2 if moved == "hidden" else high
+                moved = "hidden"
+                self._judge(seen)
+
+    def _take_back(self) -> None:
+        """Forget the last state and its verdict."""
+        self.frames.pop()
+        self.reason = None
+        self.max_strain = max(f.max_strain for f in self.frames)
+        self.required_friction = max(
+            (float(f.required_friction.max()) for f in self.frames if f.progress >= 1), default=0.0
+        )
 
     def certificate(self) -> Certificate:
         """The verdict, once the trial has ended."""
@@ -256,11 +307,11 @@ def certify(
     resolution: a name in RESOLUTIONS; verify: repeat it on a finer mesh and report the differences.
     Raises ValueError for a grasp off the flap, a path that does not begin there, or an unknown resolution.
     """
-    if resolution not in RESOLUTIONS:
-        raise ValueError(f"resolution = {resolution!r}, allowed {', '.join(RESOLUTIONS)}")
-    if verify and resolution not in FINER:
-        raise ValueError(f"resolution = {resolution!r} has no finer one to verify with, allowed {', '.join(FINER)}")
     trial = Trial(scene, grasp, path, resolution)
+    if verify and resolution not in FINER:
+        raise ValueError(
+            f"resolution = {resolution!r} has no finer one to verify with, allowed {', '.join(FINER)}"
+        )
     trial.squeeze()
     trial.move(on_increment=on_increment)
     certificate = trial.certificate()
@@ -275,10 +326,14 @@ def verified(certificate: Certificate, scene: Scene, grasp: Grasp, path: JawPath
         "nodes": finer.mesh["nodes"],
         "reason": finer.reason,
         "max_strain": finer.max_strain,
-        "max_strain_difference": certificate.max_strain / finer.max_strain - 1,
+        "max_strain_difference": _ratio(certificate.max_strain, finer.max_strain) - 1,
         "required_friction": finer.required_friction,
         "required_friction_difference": certificate.required_friction - finer.required_friction,
         "end_difference": certificate.path["end"] - finer.path["end"],
     }
     content = {f.name: getattr(certificate, f.name) for f in fields(certificate)}
     return Certificate(**content | {"verification": differences})
+
+
+def _ratio(a: float, b: float) -> float:
+    return a / b if b else math.nan  # a finer flap that found no rest has no strain

@@ -3,8 +3,9 @@
 Three ways to go through the candidates give the same winner at different cost:
 
 * "none": every retraction to its end;
-* "bound" (the paper's): in order of the stability score; a retraction stops once its strain exceeds that of the best certified one;
-* "squeeze" (ours): squeeze all candidates first, which costs little and bounds their strain from below, then retract
+* "bound" (the paper's): in order of the stability score; a retraction stops once its strain exceeds that of
+the best certified one; * "squeeze" (ours): squeeze all candidates first, which costs little and bounds their
+strain from below, then retract
   best-first under the same bound; what squeezes worse than the best retraction is never moved at all.
 """
 
@@ -14,7 +15,7 @@ import math
 import os
 import threading
 import time
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
@@ -38,9 +39,9 @@ def generate_and_test(
 ) -> Plan:
     """Certify proposals, best score first, and return the certified one with least maximum strain.
 
-    The winner does not depend on pruning or workers (default: one a core): only what exceeds the best certified strain is dropped,
-    and equal strains go to the earlier candidate.
-    Raises NoPlan where none is certified, ValueError for unknown pruning or workers below 1.
+    The winner does not depend on pruning or workers (default: one a core): only what exceeds the best
+    certified strain is dropped, and equal strains go to the earlier candidate. Raises NoPlan where none is
+    certified, ValueError for unknown pruning or workers below 1.
     """
     if pruning not in PRUNING:
         raise ValueError(f"pruning = {pruning!r}, allowed {', '.join(PRUNING)}")
@@ -48,7 +49,7 @@ def generate_and_test(
     if workers < 1:
         raise ValueError(f"workers = {workers}, allowed at least 1")
     start = time.perf_counter()
-    search = _Search(scene, proposals, resolution, pruning, on_update)
+    search = _Search(scene, proposals, resolution, pruning, workers, on_update)
     with ThreadPoolExecutor(max_workers=min(workers, max(1, len(proposals)))) as pool:
         try:
             if pruning == "squeeze":
@@ -66,7 +67,9 @@ def generate_and_test(
         raise NoPlan(search.candidates)
     trial = search.trials[best]
     timings = {**search.seconds, "total": time.perf_counter() - start}
-    return Plan(scene, planner, trial.grasp, trial.path, trial.certificate(), tuple(search.candidates), timings)
+    return Plan(
+        scene, planner, trial.grasp, trial.path, trial.certificate(), tuple(search.candidates), timings
+    )
 
 
 def _cores() -> int:
@@ -77,14 +80,23 @@ def _cores() -> int:
 class _Search:
     """Trials side by side, and the bound that they share."""
 
-    def __init__(self, scene: Scene, proposals: Sequence[tuple[Grasp, JawPath]], resolution: str, pruning: str, on_update: OnUpdate | None):
+    def __init__(
+        self,
+        scene: Scene,
+        proposals: Sequence[tuple[Grasp, JawPath]],
+        resolution: str,
+        pruning: str,
+        workers: int,
+        on_update: OnUpdate | None,
+    ):
         self.trials = [Trial(scene, grasp, path, resolution) for grasp, path in proposals]
         self.candidates = [Candidate(i, grasp, path) for i, (grasp, path) in enumerate(proposals)]
         self.prune = pruning != "none"
         self.on_update = on_update
         self.bound = math.inf
         self.stop = False
-        self.seconds: Counter[str] = Counter()
+        self.spare = workers + 1
+        self.seconds: defaultdict[str, float] = defaultdict(float)
         self._lock = threading.Lock()
 
     def both(self, i: int) -> None:
@@ -92,32 +104,38 @@ class _Search:
         self.move(i)
 
     def squeeze(self, i: int) -> None:
+        if self.stop:
+            return
         trial = self.trials[i]
         self._tell(i, "squeezing")
         start = time.perf_counter()
         trial.squeeze()
         self.candidates[i].seconds += time.perf_counter() - start
         self._tell(i, "done" if trial.ended else "squeezed")
-        if trial.ended:
-            self._drop(i)
+        self._let_go(i)
 
     def move(self, i: int) -> None:
         trial, candidate = self.trials[i], self.candidates[i]
-        if trial.ended:
+        if trial.ended or self.stop:
             return
-        start, before = time.perf_counter(), candidate.seconds
+        if trial.max_strain > self.bound:
+            trial.reason = "pruned"
+        else:
+            start, before = time.perf_counter(), candidate.seconds
 
-        def step() -> None:
+            def step() -> None:
+                candidate.seconds = before + time.perf_counter() - start
+                self._tell(i, "moving")
+
+            if trial.physics is None:
+                trial.squeeze()
+            trial.move(self._limit, step)
             candidate.seconds = before + time.perf_counter() - start
-            self._tell(i, "moving")
-
-        trial.move(self._limit, step)
-        candidate.seconds = before + time.perf_counter() - start
-        if trial.reason == "ok" and self.prune:
-            with self._lock:
-                self.bound = min(self.bound, trial.max_strain)
+            if trial.reason == "ok" and self.prune:
+                with self._lock:
+                    self.bound = min(self.bound, trial.max_strain)
         self._tell(i, "done")
-        self._drop(i)
+        self._let_go(i)
 
     def best(self) -> int | None:
         certified = [i for i, trial in enumerate(self.trials) if trial.reason == "ok"]
@@ -126,23 +144,52 @@ class _Search:
     def _limit(self) -> float:
         return -math.inf if self.stop else self.bound
 
-    def _drop(self, i: int) -> None:
-        """Account for a finished trial and let go of its memory unless it may win."""
-        trial = self.trials[i]
+    def _let_go(self, i: int) -> None:
+        """Account for the work on a trial and free what will hardly be needed: memory holds few factorised
+        flaps.
+
+        Trials that ended keep their last frame, the best certified one all of them. Of those that wait
+        squeezed only the most promising ones keep their physics; should another's turn come it is squeezed
+        again, to the same bits.
+        """
         with self._lock:
+            trial = self.trials[i]
             if trial.physics is not None:
-                self.seconds.update(trial.physics.seconds)
-                if trial.reason != "ok":
-                    trial.physics = None
-                    trial.frames = trial.frames[-1:]
+                for kind, seconds in trial.physics.seconds.items():
+                    self.seconds[kind] += seconds
+                trial.physics.seconds.clear()
+            best = self.best()
+            for k, other in enumerate(self.trials):
+                if (
+                    other.ended
+                    and k != best
+                    and other.physics is not None
+                    and self.candidates[k].status == "done"
+                ):
+                    other.physics, other.frames = None, other.frames[-1:]
+            waiting = [
+                k
+                for k, c in enumerate(self.candidates)
+                if c.status == "squeezed" and self.trials[k].physics is not None
+            ]
+            for k in sorted(waiting, key=lambda k: (self.trials[k].max_strain, k))[self.spare :]:
+                self.trials[k].physics = None
 
     def _tell(self, i: int, status: str) -> None:
         trial, candidate = self.trials[i], self.candidates[i]
-        candidate.status, candidate.reason = status, trial.reason
+        candidate.status, candidate.reason = status, trial.reason if status == "done" else None
         if trial.frames:
             candidate.max_strain, candidate.clearance = trial.max_strain, trial.clearance
-            candidate.required_friction = trial.required_friction if trial.frames[-1].progress >= 1 else math.nan
+            candidate.required_friction = (
+                trial.required_friction if trial.frames[-1].progress >= 1 else math.nan
+            )
             candidate.increments = max(candidate.increments, len(trial.frames) - 1)
         if self.on_update is not None:
             with self._lock:
-                self.on_update(self.candidates)
+                if self.stop:
+                    return
+                try:
+                    self.on_update(self.candidates)
+                except BaseException:
+                    self.stop = True  # whoever waits learns of it in turn, the other threads at once
+                    raise

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +37,8 @@ RESOLUTIONS = {
     "fine": Resolution("fine", patch=8, edge=0.12, growth=0.45, bulk=0.8),
     "finer": Resolution("finer", patch=12, edge=0.08, growth=0.25, bulk=0.3),
 }
-"""Certificates come from "fine": within 2 % of converged strain, 5 % of converged jaw forces (benchmarks/accuracy.py)."""
+"""Certificates come from "fine": within 2 % of converged strain, 5 % of converged jaw forces
+(benchmarks/accuracy.py)."""
 
 
 @dataclass(frozen=True)
@@ -71,50 +73,108 @@ class SectionMesh:
         return edges[np.isin(edges[:, 1], middle[count == 1])]
 
 
+class MeshError(ValueError):
+    """The section could not be meshed."""
+
+
+SLIVER = 0.05
+"""A patch that ends nearer than this, over its width, to an end of the flap reaches up to it: no sliver is
+left."""
+
 _netgen = threading.Lock()  # netgen keeps global state
+
+
+def patch_ends(scene: Scene, jaw_x: float) -> tuple[float, float]:
+    """Where the jaw patches begin and end along the flap, m; a grasp at the free end has half a patch.
+
+    Raises ValueError where the patch does not keep off the fixed end.
+    """
+    length, width = scene.tissue.length, scene.jaws.width
+    low, high = jaw_x - width / 2, jaw_x + width / 2
+    if not (jaw_x >= -length * (1 + 1e-9) and high <= -SLIVER * width):
+        least = -(0.5 + SLIVER) * width
+        raise ValueError(
+            f"grasp.x = {jaw_x:g} m, allowed [{-length:g}, {least:g}] m for jaws {width:g} m wide"
+        )
+    return (-length if low < -length + SLIVER * width else low), high
 
 
 def section_mesh(scene: Scene, jaw_x: float | None, resolution: Resolution) -> SectionMesh:
     """Mesh the section so that veins and, where a grasp is given, both jaw patches end on element edges.
 
-    jaw_x: m, middle of the patches, or None for no jaws.
+    jaw_x: m, middle of the patches, or None for no jaws. Raises MeshError, and ValueError as `patch_ends`.
     """
     from netgen.geom2d import SplineGeometry
 
     tissue = scene.tissue
     length, height, width = tissue.length, tissue.height, scene.jaws.width
     bulk = resolution.bulk * height
-    # netgen's point tolerances are absolute, so mesh in units of the height
-    geometry = SplineGeometry()
-    if jaw_x is None:
-        ends = np.empty(0)
-    else:
-        ends = np.array([jaw_x - width / 2, jaw_x + width / 2])
-    xs = np.concatenate([[-length], ends[(ends > -length) & (ends < 0)], [0.0]])
-    fine = width / resolution.patch
+    ends = None if jaw_x is None else patch_ends(scene, jaw_x)
+    geometry = SplineGeometry()  # its tolerances are absolute, so it works in units of the height
+    numbers: dict[tuple[float, float], int] = {}
 
-    def corner(x: float, y: float) -> int:
-        size = resolution.edge * width if jaw_x is not None and -length < x < 0 else bulk
-        return int(geometry.AppendPoint(x / height, y / height, size / height))
+    def vertex(x: float, y: float, size: float = bulk) -> int:
+        if (x, y) not in numbers:
+            numbers[x, y] = int(geometry.AppendPoint(x / height, y / height, size / height))
+        return numbers[x, y]
 
-    ring = [(corner(x, 0.0), x) for x in xs] + [(corner(x, height), x) for x in xs[::-1]]
-    for (p, xp), (q, xq) in zip(ring, ring[1:] + ring[:1], strict=True):
-        under_jaw = jaw_x is not None and max(abs(xp - jaw_x), abs(xq - jaw_x)) < 0.51 * width and xp != xq
-        geometry.Append(["line", p, q], leftdomain=1, rightdomain=0, maxh=(fine if under_jaw else bulk) / height)
+    # Vein edges that lie on the flap's sides belong to the outline; the others bound two materials.
+    sides = {(0, -length): {}, (0, 0.0): {}, (1, 0.0): {}, (1, height): {}}  # type: dict[tuple[int, float], dict[tuple[float, float], int]]
+    inner: list[tuple[tuple[float, float], tuple[float, float], int]] = []
     for i, vein in enumerate(tissue.veins):
-        loop = [int(geometry.AppendPoint(x / height, y / height)) for x, y in vein.outline]
-        for p, q in zip(loop, loop[1:] + loop[:1], strict=True):
-            geometry.Append(["line", p, q], leftdomain=2 + i, rightdomain=1)
+        for p, q in zip(vein.outline, vein.outline[1:] + vein.outline[:1], strict=True):
+            side = next((s for s in sides if p[s[0]] == q[s[0]] == s[1]), None)
+            if side is None:
+                inner.append((p, q, 2 + i))
+            else:
+                along = 1 - side[0]
+                sides[side][min(p[along], q[along]), max(p[along], q[along])] = 2 + i
+
+    def side_points(axis: int, level: float, low: float, high: float) -> list[float]:
+        cuts = {low, high, *(c for span in sides[axis, level] for c in span)}
+        if axis == 1 and ends is not None:
+            cuts |= set(ends)
+        return sorted(cuts)
+
+    bottom = [(x, 0.0) for x in side_points(1, 0.0, -length, 0.0)]
+    right = [(0.0, y) for y in side_points(0, 0.0, 0.0, height)]
+    top = [(x, height) for x in reversed(side_points(1, height, -length, 0.0))]
+    left = [(-length, y) for y in reversed(side_points(0, -length, 0.0, height))]
+    singular = set() if ends is None else {(x, y) for x in ends if x > -length for y in (0.0, height)}
+    patch = width / resolution.patch
+    for points, (axis, level) in (
+        (bottom, (1, 0.0)),
+        (right, (0, 0.0)),
+        (top, (1, height)),
+        (left, (0, -length)),
+    ):
+        for p, q in pairwise(points):
+            middle = (p[1 - axis] + q[1 - axis]) / 2
+            domain = next((d for (a, b), d in sides[axis, level].items() if a < middle < b), 1)
+            held = ends is not None and axis == 1 and ends[0] < middle < ends[1]
+            at = [vertex(*c, resolution.edge * width if c in singular else bulk) for c in (p, q)]
+            geometry.Append(
+                ["line", *at], leftdomain=domain, rightdomain=0, maxh=(patch if held else bulk) / height
+            )
+    for p, q, domain in inner:
+        geometry.Append(["line", vertex(*p), vertex(*q)], leftdomain=domain, rightdomain=1)
     with _netgen:
-        mesh = geometry.GenerateMesh(maxh=resolution.bulk, grading=resolution.growth)
-        points = np.array([p.p[:2] for p in mesh.Points()]) * height
+        try:
+            mesh = geometry.GenerateMesh(maxh=resolution.bulk, grading=resolution.growth)
+        except Exception as error:  # netgen raises its own kinds
+            raise MeshError(
+                f"scene {scene.name!r} with a grasp at {jaw_x} m cannot be meshed: {error}"
+            ) from error
+        nodes = np.array([p.p[:2] for p in mesh.Points()]) * height
         elements = mesh.Elements2D().NumPy()
     corners = elements["nodes"][:, :3].astype(np.int64) - 1
     vein_of = elements["index"].astype(np.int32) - 2
-    return _finish(points, corners, vein_of, scene, jaw_x)
+    return _finish(nodes, corners, vein_of, scene, ends)
 
 
-def _finish(points: Array, corners: NDArray[np.int64], vein: Ints, scene: Scene, jaw_x: float | None) -> SectionMesh:
+def _finish(
+    points: Array, corners: NDArray[np.int64], vein: Ints, scene: Scene, ends: tuple[float, float] | None
+) -> SectionMesh:
     """Mid-edge nodes, order along x, and the named node sets."""
     tissue = scene.tissue
     edges = np.sort(np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]]), axis=1)
@@ -135,7 +195,7 @@ def _finish(points: Array, corners: NDArray[np.int64], vein: Ints, scene: Scene,
         return np.flatnonzero(where).astype(np.int32)
 
     low, high = np.abs(y) < near, np.abs(y - tissue.height) < near
-    under = np.zeros(len(x), bool) if jaw_x is None else np.abs(x - jaw_x) < scene.jaws.width / 2 + near
+    under = np.zeros(len(x), bool) if ends is None else (x > ends[0] - near) & (x < ends[1] + near)
     share = np.zeros(len(x))
     for a in range(3):
         edge = triangles[:, [a, 3 + a, (a + 1) % 3]]

@@ -25,7 +25,8 @@ def strain(stretches: ArrayLike) -> Array:
 def worst_mean(strains: ArrayLike, volumes: ArrayLike, fraction: float = WORST_FRACTION) -> float:
     """eps_1%: volume-weighted mean strain of the given fraction of volume that is strained most.
 
-    strains, volumes: (n,), volumes in any unit. The last piece counts with the part of its volume that is still needed.
+    strains, volumes: (n,), volumes in any unit. The last piece counts with the part of its volume that is
+    still needed.
     """
     strains, volumes = np.ravel(strains), np.ravel(volumes)
     wanted = fraction * volumes.sum()
@@ -49,7 +50,8 @@ def required_friction(reaction: ArrayLike, normal: ArrayLike) -> Array:
 
 
 def clearance(points: ArrayLike, camera: ArrayLike, target: ArrayLike) -> float:
-    """Signed distance, m, of the lowest point to line AB: negative while one lies below it, on the camera's side.
+    """Signed distance, m, of the lowest point to line AB: negative while one lies below it, on the camera's
+    side.
 
     points: (..., 2) m; camera A and target B: (2,) m.
     """

@@ -16,7 +16,8 @@ Ints = NDArray[np.int32]
 
 
 def block_triangle(na: int, nz: int) -> tuple[Ints, Ints]:
-    """Local row and column of each entry of an element tangent, in the order in which `kernels.tangent` visits them."""
+    """Local row and column of each entry of an element tangent, in the order in which `kernels.tangent`
+    visits them."""
     counts = (na, na, nz)
     offset = (0, na, 2 * na)
     rows, cols = [], []
@@ -32,8 +33,8 @@ def block_triangle(na: int, nz: int) -> tuple[Ints, Ints]:
 class Assembly:
     """Sums element energies, forces and tangents.
 
-    The vector u (n,) m holds every unknown, prescribed ones too; the tangent holds the free ones alone, as the upper triangle of a
-    symmetric CSR matrix (indptr, indices, values).
+    The vector u (n,) m holds every unknown, prescribed ones too; the tangent holds the free ones alone, as
+    the upper triangle of a symmetric CSR matrix (indptr, indices, values).
     """
 
     def __init__(self, blocks: Sequence[ElementBlock], size: int, free: Ints):
@@ -49,7 +50,8 @@ class Assembly:
             numbered = np.where(block.weight.any(axis=1)[:, None, :], number[block.dofs], -1)
             keys.append(_keys(numbered, rows, cols, len(self.free)))
         flat = np.sort(np.concatenate([k.ravel() for k in keys]))
-        unique = flat[(flat >= 0) & np.concatenate([[True], flat[1:] != flat[:-1]])]
+        flat = flat[np.searchsorted(flat, 0) :]
+        unique = flat[np.flatnonzero(np.diff(flat, prepend=-1))]
         n = len(self.free)
         self.indices = (unique % n).astype(np.int32)
         self.indptr = np.searchsorted(unique, np.arange(n + 1, dtype=np.int64) * n).astype(np.int32)
@@ -90,7 +92,8 @@ class Assembly:
 
 @njit(cache=True, nogil=True)
 def _keys(numbered, rows, cols, n):
-    """row * n + column of each element entry in the upper triangle, -1 where an unknown is prescribed; (c, m, LANES)."""
+    """row * n + column of each element entry in the upper triangle, -1 where an unknown is prescribed; (c, m,
+    LANES)."""
     chunks, _, lanes = numbered.shape
     out = np.empty((chunks, len(rows), lanes), np.int64)
     for c in range(chunks):

@@ -1,10 +1,11 @@
 """Finite elements: section triangles with six nodes, extruded over the depth.
 
-The flap is a prism that mirrors itself in the plane z = 0, so only z in [0, d/2] is meshed, in layers. In the first layer u_x and
-u_y are even in z and u_z is odd, and the basis says so: {1 - s^2, s^2} for u_x, u_y and {s} for u_z with s = z / z_1. That is the quadratic element of
-a full-depth layer with its symmetric half left out; it needs 5 unknowns a section node where the ordinary quadratic half layer
-needs 8, and it represents bending with its anticlastic curvature exactly. Further layers, for deep flaps, are ordinary
-quadratic ones, 18-node wedges.
+The flap is a prism that mirrors itself in the plane z = 0, so only z in [0, d/2] is meshed, in layers. In the
+first layer u_x and u_y are even in z and u_z is odd, and the basis says so: {1 - s^2, s^2} for u_x, u_y and
+{s} for u_z with s = z / z_1. That is the quadratic element of a full-depth layer with its symmetric half left
+out; it needs 5 unknowns a section node where the ordinary quadratic half layer needs 8, and it represents
+bending with its anticlastic curvature exactly. Further layers, for deep flaps, are ordinary quadratic ones,
+18-node wedges.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ from retract_env.fem.kernels import LANES, gram
 Array = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
-# Points in the unit triangle (barycentric l0, l1, l2) and weights that add up to 1/2; degree 2 and degree 4 (Dunavant 1985).
+# Points in the unit triangle (barycentric l0, l1, l2) and weights that add up to 1/2; degree 2 and degree 4
+# (Dunavant 1985).
 _A, _B = 0.445948490915965, 0.091576213509771
 TRIANGLE_RULES = {
     3: (
@@ -55,7 +57,8 @@ class ElementBlock:
 
     @classmethod
     def of(cls, gxy: Array, gz: Array, weight: Array, mu: Array, lam: Array, dofs: Ints) -> ElementBlock:
-        """From arrays element by element: gxy (m, nq, 3, na), gz (m, nq, 3, nz), weight (m, nq), mu and lam (m,), dofs (m, 2 na + nz)."""
+        """From arrays element by element: gxy (m, nq, 3, na), gz (m, nq, 3, nz), weight (m, nq), mu and lam
+        (m,), dofs (m, 2 na + nz)."""
 
         def lanes(a: NDArray[Any]) -> NDArray[Any]:
             filled = np.concatenate([a, np.zeros((-len(a) % LANES, *a.shape[1:]), a.dtype)])
@@ -66,7 +69,9 @@ class ElementBlock:
         gram_xy, gram_z = np.empty((chunks, na, na, LANES)), np.empty((chunks, nz, nz, LANES))
         gram(gxy_, weight_, mu_, gram_xy)
         gram(gz_, weight_, mu_, gram_z)
-        return cls(gxy_, gz_, weight_, mu_, lanes(lam), lanes(np.asarray(dofs, np.int32)), len(gxy), gram_xy, gram_z)
+        return cls(
+            gxy_, gz_, weight_, mu_, lanes(lam), lanes(np.asarray(dofs, np.int32)), len(gxy), gram_xy, gram_z
+        )
 
     @property
     def arrays(self) -> tuple[Array, Array, Array, Array, Array, Ints]:
@@ -99,15 +104,17 @@ def triangle6(points: Array, corners: Array) -> tuple[Array, Array, Array]:
     grad = np.stack([-edge[..., 1], edge[..., 0]], axis=1) / double_area[:, None, None]  # (m, 2, 3)
     of_corner = np.einsum("mji,pi->mpji", grad, 4 * low - 1)
     nxt = np.roll(low, -1, axis=1)
-    of_edge = 4 * (np.einsum("mji,pi->mpji", grad, nxt) + np.einsum("mji,pi->mpji", np.roll(grad, -1, axis=2), low))
+    of_edge = 4 * (
+        np.einsum("mji,pi->mpji", grad, nxt) + np.einsum("mji,pi->mpji", np.roll(grad, -1, axis=2), low)
+    )
     return values, np.concatenate([of_corner, of_edge], axis=3), double_area
 
 
 def symmetric_depth(z1: float) -> tuple[Array, Array, Array, Array, Array]:
     """Basis of the layer [0, z1] next to the plane of symmetry at its Gauss points.
 
-    Returns u_xy values and derivatives (p, 2), u_z values and derivatives (p, 1), weights (p,) m. The points are the
-    positive half of the four-point rule on [-z1, z1], exact to degree 7 for what is even.
+    Returns u_xy values and derivatives (p, 2), u_z values and derivatives (p, 1), weights (p,) m. The points
+    are the positive half of the four-point rule on [-z1, z1], exact to degree 7 for what is even.
     """
     s, w = np.polynomial.legendre.leggauss(4)
     s, w = s[2:], w[2:] * z1
@@ -142,7 +149,9 @@ def extruded_block(
 
     def gradients(basis: Array, slope: Array) -> Array:
         planar = np.einsum("mpjt,rl->mprjlt", grad, basis)
-        across = np.broadcast_to(np.einsum("pt,rl->prlt", value, slope), (len(corners), *planar.shape[1:3], *planar.shape[4:]))
+        across = np.broadcast_to(
+            np.einsum("pt,rl->prlt", value, slope), (len(corners), *planar.shape[1:3], *planar.shape[4:])
+        )
         both = np.concatenate([planar, across[:, :, :, None]], axis=3)
         m, p, r = both.shape[:3]
         return both.reshape(m, p * r, 3, -1)

@@ -1,16 +1,18 @@
 """Compiled kernels: energy, residual, tangent and stretches of the logarithmic neo-Hookean solid.
 
-The material is W(F) = mu/2 (tr F^T F - 3) - mu ln J + lambda/2 (ln J)^2, whose first Piola-Kirchhoff stress is
-P = mu F + (lambda ln J - mu) F^-T. With the spatial gradients g = F^-T G of the shape functions its tangent is,
-between shape function a in direction i and b in direction k,
+The material is W(F) = mu/2 (tr F^T F - 3) - mu ln J + lambda/2 (ln J)^2, whose first Piola-Kirchhoff stress
+is P = mu F + (lambda ln J - mu) F^-T. With the spatial gradients g = F^-T G of the shape functions its
+tangent is, between shape function a in direction i and b in direction k,
 
     mu (G_a . G_b) delta_ik + lambda g_a[i] g_b[k] + (mu - lambda ln J) g_a[k] g_b[i],
 
-so no fourth-order tensor is ever formed, and the mu term, which does not depend on the state, is computed once.
+so no fourth-order tensor is ever formed, and the mu term, which does not depend on the state, is computed
+once.
 
-One element has `na` shape functions for u_x and for u_y and `nz` for u_z (see elements.py), hence 2 na + nz unknowns in the order
-x..., y..., z.... Elements lie LANES side by side in the last axis, which every inner loop runs over: that is what lets the compiler
-use vector instructions (3.5 times faster than element by element). Arrays of a block of c chunks:
+One element has `na` shape functions for u_x and for u_y and `nz` for u_z (see elements.py), hence 2 na + nz
+unknowns in the order x..., y..., z.... Elements lie LANES side by side in the last axis, which every inner
+loop runs over: that is what lets the compiler use vector instructions (3.5 times faster than element by
+element). Arrays of a block of c chunks:
 
     gxy (c, nq, 3, na, LANES), gz (c, nq, 3, nz, LANES)   reference gradients [1/m]
     weight (c, nq, LANES)                                 rest volumes [m^3], 0 in lanes that only fill up
@@ -24,7 +26,12 @@ import numpy as np
 from numba import njit
 
 LANES = 32
-JIT = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": {"contract", "reassoc", "nsz", "arcp"}}
+JIT = {
+    "cache": True,
+    "nogil": True,
+    "error_model": "numpy",
+    "fastmath": {"contract", "reassoc", "nsz", "arcp"},
+}
 
 
 @njit(**JIT)
@@ -214,14 +221,17 @@ def gram(g, weight, mu, out):
                 for a in range(g.shape[3]):
                     for b in range(a, g.shape[3]):
                         for l in range(LANES):
-                            out[c, a, b, l] += weight[c, q, l] * mu[c, l] * g[c, q, j, a, l] * g[c, q, j, b, l]
+                            out[c, a, b, l] += (
+                                weight[c, q, l] * mu[c, l] * g[c, q, j, a, l] * g[c, q, j, b, l]
+                            )
 
 
 @njit(**JIT)
 def tangent(u, gxy, gz, weight, mu, lam, dofs, gram_xy, gram_z, target, values):
     """Add the element tangents [N/m] to `values`, the entries of the sparse upper triangle.
 
-    target: (c, m, LANES) int32, where each entry of an element's upper triangle goes (see assembly.py), -1 for nowhere.
+    target: (c, m, LANES) int32, where each entry of an element's upper triangle goes (see assembly.py),
+    -1 for nowhere.
     """
     nq, na = gxy.shape[1], gxy.shape[3]
     nz = gz.shape[3]
@@ -233,8 +243,6 @@ def tangent(u, gxy, gz, weight, mu, lam, dofs, gram_xy, gram_z, target, values):
     sz = np.empty((nq, 3, nz, LANES))
     wl = np.empty((nq, LANES))
     wc = np.empty((nq, LANES))
-    first = np.empty(LANES)
-    second = np.empty(LANES)
     rows = np.empty((na, LANES))
     for c in range(gxy.shape[0]):
         _gather(u, dofs[c], ue)
@@ -248,46 +256,76 @@ def tangent(u, gxy, gz, weight, mu, lam, dofs, gram_xy, gram_z, target, values):
             _push(H, gz[c, q], sz[q])
         slot = 0
         for i in range(3):
-            gi = sxy if i < 2 else sz
-            ni = na if i < 2 else nz
-            for k in range(i, 3):
-                gk = sxy if k < 2 else sz
-                nk = na if k < 2 else nz
-                for a in range(ni):
-                    begin = a if i == k else 0
-                    if i == k:
-                        rows[:nk] = gram_xy[c, a] if i < 2 else gram_z[c, a]
-                    else:
-                        rows[:nk] = 0.0
-                    for q in range(nq):
-                        p = wl[q]
-                        r = wc[q]
-                        x = gi[q, i, a]
-                        y = gi[q, k, a]
-                        if i == k:
-                            for l in range(LANES):
-                                first[l] = (p[l] + r[l]) * x[l]
-                            for b in range(begin, nk):
-                                row = rows[b]
-                                z = gk[q, k, b]
-                                for l in range(LANES):
-                                    row[l] += first[l] * z[l]
-                        else:
-                            for l in range(LANES):
-                                first[l] = p[l] * x[l]
-                                second[l] = r[l] * y[l]
-                            for b in range(nk):
-                                row = rows[b]
-                                z = gk[q, k, b]
-                                t = gk[q, i, b]
-                                for l in range(LANES):
-                                    row[l] += first[l] * z[l] + second[l] * t[l]
-                    for b in range(begin, nk):
-                        for l in range(LANES):
-                            where = target[c, slot, l]
-                            if where >= 0:
-                                values[where] += rows[b, l]
-                        slot += 1
+            si = sxy if i < 2 else sz
+            constant = gram_xy[c] if i < 2 else gram_z[c]
+            slot = _couple_same(si, i, wl, wc, constant, rows, target[c], slot, values)
+            for k in range(i + 1, 3):
+                sk = sxy if k < 2 else sz
+                slot = _couple_other(si, sk, i, k, wl, wc, rows, target[c], slot, values)
+
+
+@njit(**JIT)
+def _couple_same(s, i, wl, wc, constant, rows, target, slot, values):
+    """Tangent between the unknowns of one direction i; returns the next slot."""
+    first = np.empty(LANES)
+    for a in range(s.shape[2]):
+        for b in range(a, s.shape[2]):
+            row = rows[b]
+            g = constant[a, b]
+            for l in range(LANES):
+                row[l] = g[l]
+        for q in range(s.shape[0]):
+            x = s[q, i, a]
+            p = wl[q]
+            r = wc[q]
+            for l in range(LANES):
+                first[l] = (p[l] + r[l]) * x[l]
+            for b in range(a, s.shape[2]):
+                row = rows[b]
+                y = s[q, i, b]
+                for l in range(LANES):
+                    row[l] += first[l] * y[l]
+        slot = _scatter(rows, a, s.shape[2], target, slot, values)
+    return slot
+
+
+@njit(**JIT)
+def _couple_other(si, sk, i, k, wl, wc, rows, target, slot, values):
+    """Tangent between the unknowns of direction i and those of direction k; returns the next slot."""
+    first = np.empty(LANES)
+    second = np.empty(LANES)
+    for a in range(si.shape[2]):
+        for b in range(sk.shape[2]):
+            row = rows[b]
+            for l in range(LANES):
+                row[l] = 0.0
+        for q in range(si.shape[0]):
+            x = si[q, i, a]
+            y = si[q, k, a]
+            p = wl[q]
+            r = wc[q]
+            for l in range(LANES):
+                first[l] = p[l] * x[l]
+                second[l] = r[l] * y[l]
+            for b in range(sk.shape[2]):
+                row = rows[b]
+                z = sk[q, k, b]
+                t = sk[q, i, b]
+                for l in range(LANES):
+                    row[l] += first[l] * z[l] + second[l] * t[l]
+        slot = _scatter(rows, 0, sk.shape[2], target, slot, values)
+    return slot
+
+
+@njit(**JIT)
+def _scatter(rows, begin, end, target, slot, values):
+    for b in range(begin, end):
+        for l in range(LANES):
+            where = target[slot, l]
+            if where >= 0:
+                values[where] += rows[b, l]
+        slot += 1
+    return slot
 
 
 @njit(**JIT)
@@ -320,9 +358,27 @@ def principal_stretches(u, gxy, gz, dofs, out):
                 c00 = 2.0 * F[0, 0, l] + F[0, 0, l] ** 2 + F[1, 0, l] ** 2 + F[2, 0, l] ** 2
                 c11 = 2.0 * F[1, 1, l] + F[0, 1, l] ** 2 + F[1, 1, l] ** 2 + F[2, 1, l] ** 2
                 c22 = 2.0 * F[2, 2, l] + F[0, 2, l] ** 2 + F[1, 2, l] ** 2 + F[2, 2, l] ** 2
-                c01 = F[0, 1, l] + F[1, 0, l] + F[0, 0, l] * F[0, 1, l] + F[1, 0, l] * F[1, 1, l] + F[2, 0, l] * F[2, 1, l]
-                c02 = F[0, 2, l] + F[2, 0, l] + F[0, 0, l] * F[0, 2, l] + F[1, 0, l] * F[1, 2, l] + F[2, 0, l] * F[2, 2, l]
-                c12 = F[1, 2, l] + F[2, 1, l] + F[0, 1, l] * F[0, 2, l] + F[1, 1, l] * F[1, 2, l] + F[2, 1, l] * F[2, 2, l]
+                c01 = (
+                    F[0, 1, l]
+                    + F[1, 0, l]
+                    + F[0, 0, l] * F[0, 1, l]
+                    + F[1, 0, l] * F[1, 1, l]
+                    + F[2, 0, l] * F[2, 1, l]
+                )
+                c02 = (
+                    F[0, 2, l]
+                    + F[2, 0, l]
+                    + F[0, 0, l] * F[0, 2, l]
+                    + F[1, 0, l] * F[1, 2, l]
+                    + F[2, 0, l] * F[2, 2, l]
+                )
+                c12 = (
+                    F[1, 2, l]
+                    + F[2, 1, l]
+                    + F[0, 1, l] * F[0, 2, l]
+                    + F[1, 1, l] * F[1, 2, l]
+                    + F[2, 1, l] * F[2, 2, l]
+                )
                 # closed form for the eigenvalues of a symmetric 3x3 matrix (Smith 1961)
                 mean = (c00 + c11 + c22) / 3.0
                 a0 = c00 - mean

@@ -1,7 +1,9 @@
-"""The one seam to sparse direct solvers: symmetric positive definite systems, factorised many times on one pattern.
+"""The one seam to sparse direct solvers: symmetric positive definite systems, factorised many times on one
+pattern.
 
-PARDISO of Intel's MKL where it is installed (x86-64), else SciPy's SuperLU. PARDISO is called through pypardiso's handle of the library, not
-through its solver class, which would copy and compare the matrix at every call.
+PARDISO of Intel's MKL where it is installed (x86-64), else SciPy's SuperLU. PARDISO is called through
+pypardiso's handle of the library, not through its solver class, which would copy and compare the matrix at
+every call.
 """
 
 from __future__ import annotations
@@ -86,8 +88,8 @@ class Pardiso:
         error = ctypes.c_int32(0)
         columns = 1 if b is None or b.ndim == 1 else b.shape[1]
         self._lib.pardiso(
-            at(self._handle), ref(1), ref(1), ref(_SPD), ref(phase), ref(self._n), at(values), at(self._ia), at(self._ja),
-            None, ref(columns), at(self._iparm), ref(0), at(b), at(x), ctypes.byref(error),
+            at(self._handle), ref(1), ref(1), ref(_SPD), ref(phase), ref(self._n), at(values), at(self._ia),
+            at(self._ja), None, ref(columns), at(self._iparm), ref(0), at(b), at(x), ctypes.byref(error),
         )  # fmt: skip
         return error.value
 
@@ -124,7 +126,9 @@ class SuperLU:
     def factorize(self, values: Array) -> None:
         upper = csr_matrix((values, self._upper.indices, self._upper.indptr), shape=self._upper.shape)
         full = csc_matrix(upper + triu(upper, 1).T)
-        self._lu = splu(full, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        self._lu = splu(
+            full, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+        )
         # With pivots kept on the diagonal, U's diagonal has the signs of the inertia.
         if not (self._lu.U.diagonal() > 0).all():
             raise NotPositiveDefinite

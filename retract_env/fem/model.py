@@ -29,7 +29,9 @@ class FlapModel:
         self.prism = prism = Prism(section, scene, triangle_points)
         every = np.arange(prism.levels)
         held = np.flatnonzero(prism.z <= (scene.jaws.depth or tissue.depth) / 2 * (1 + 1e-9))
-        fixed = np.concatenate([prism.x(section.fixed, every), prism.y(section.fixed, every), prism.w(section.fixed, every[1:])])
+        fixed = np.concatenate(
+            [prism.x(section.fixed, every), prism.y(section.fixed, every), prism.w(section.fixed, every[1:])]
+        )
         self._patch_x = [prism.x(p, held) for p in section.patches]
         self._patch_y = [prism.y(p, held) for p in section.patches]
         self._patch_rest = [np.tile(section.points[p], (len(held), 1)) for p in section.patches]
@@ -57,7 +59,8 @@ class FlapModel:
         self._bed_diagonal = self.assembly.indptr[row[row >= 0]]
 
     def at_rest(self) -> Array:
-        """First guess for the flap on its bed: pressed in by its own weight, so that the bed already bears it."""
+        """First guess for the flap on its bed: pressed in by its own weight, so that the bed already bears
+        it."""
         u = np.zeros(self.prism.size)
         if len(self._bed):
             tissue = self.scene.tissue
@@ -87,8 +90,8 @@ class FlapModel:
         """Potential energy [J] and its gradient (n,) [N], forces that hold prescribed nodes included."""
         energy, force = self.assembly.residual(u)
         force -= self.load
-        energy -= self.load @ u
-        energy += _bed_force(u, self._bed, self._bed_stiffness, force)
+        energy -= float(self.load @ u)
+        energy += float(_bed_force(u, self._bed, self._bed_stiffness, force))
         return energy, force
 
     def tangent(self, u: Array) -> Array:
@@ -106,7 +109,9 @@ class FlapModel:
 
     def reactions(self, force: Array) -> Array:
         """(2, 2) N, force of the tissue on the lower and the upper jaw over the whole depth."""
-        return np.array([[-2 * force[self._patch_x[k]].sum(), -2 * force[self._patch_y[k]].sum()] for k in range(2)])
+        return np.array(
+            [[-2 * force[self._patch_x[k]].sum(), -2 * force[self._patch_y[k]].sum()] for k in range(2)]
+        )
 
     def positions(self, u: Array, level: int = 0) -> Array:
         """(n, 2) m, section nodes of one depth level."""

@@ -1,8 +1,11 @@
-"""The flap as a prism: numbering of unknowns over section nodes and depth levels, element blocks, weights of nodes."""
+"""The flap as a prism: numbering of unknowns over section nodes and depth levels, element blocks, weights of
+nodes."""
 
 from __future__ import annotations
 
 import math
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,18 +16,19 @@ from retract_env.scene import Scene
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int32]
+AnyInts = NDArray[np.integer[Any]]
 
 
 def depth_breaks(depth: float, height: float, jaw_depth: float | None, per_height: float = 0.8) -> Array:
     """Where layers end, m: from 0 at the plane of symmetry to depth / 2, with a break at the jaws' edge.
 
-    A flap up to 1.5 times as deep as high gets one layer; FINDINGS measured 0.1 % on eps_1% for it. Deeper ones get
-    `per_height` layers for each height of depth.
+    A flap up to 1.5 times as deep as high gets one layer, which is 0.1 % off on eps_1%. Deeper
+    ones get `per_height` layers for each height of depth.
     """
     half = depth / 2
     edges = [0.0, half] if jaw_depth is None or jaw_depth >= depth else [0.0, jaw_depth / 2, half]
     parts = []
-    for low, high in zip(edges, edges[1:], strict=False):
+    for low, high in pairwise(edges):
         count = 1 if high - low <= 0.75 * height else math.ceil((high - low) / height * per_height)
         parts.append(np.linspace(low, high, count + 1)[1:])
     return np.concatenate([[0.0], *parts])
@@ -33,7 +37,8 @@ def depth_breaks(depth: float, height: float, jaw_depth: float | None, per_heigh
 class Prism:
     """Unknowns and elements of the extruded section, for the half depth z >= 0.
 
-    Section node i owns `stride` unknowns in a row: (u_x, u_y) of each level, then u_z of each level but z = 0.
+    Section node i owns `stride` unknowns in a row: (u_x, u_y) of each level, then u_z of each level but z =
+    0.
     """
 
     def __init__(self, section: SectionMesh, scene: Scene, triangle_points: int = 3, per_height: float = 0.8):
@@ -58,9 +63,14 @@ class Prism:
             depth = symmetric_depth(thickness) if layer == 0 else quadratic_depth(thickness)
             xy = np.arange(2) if layer == 0 else np.arange(3) + 2 * layer - 1
             z = xy[1:] if layer == 0 else xy
-            dofs = np.concatenate([self.x(section.triangles, xy), self.y(section.triangles, xy), self.w(section.triangles, z)], axis=1)
+            dofs = np.concatenate(
+                [self.x(section.triangles, xy), self.y(section.triangles, xy), self.w(section.triangles, z)],
+                axis=1,
+            )
             blocks.append(
-                extruded_block(section.corners, depth, dofs, modulus[material], poisson[material], triangle_points)
+                extruded_block(
+                    section.corners, depth, dofs, modulus[material], poisson[material], triangle_points
+                )
             )
             self.depth_weight[xy] += depth[4] @ depth[0]
         self.blocks = blocks
@@ -71,17 +81,21 @@ class Prism:
         """(n,) m^2, section area that belongs to each section node"""
         np.add.at(self.area, section.triangles[:, 3:], area[:, None] / 3)
 
-    def x(self, nodes: Ints, levels: Ints) -> Ints:
+    def x(self, nodes: AnyInts, levels: AnyInts) -> Ints:
         """Unknowns u_x of nodes (..., k) on levels (l,): (..., l * k), level by level."""
         return self._at(nodes, 2 * np.asarray(levels))
 
-    def y(self, nodes: Ints, levels: Ints) -> Ints:
+    def y(self, nodes: AnyInts, levels: AnyInts) -> Ints:
         return self._at(nodes, 2 * np.asarray(levels) + 1)
 
-    def w(self, nodes: Ints, levels: Ints) -> Ints:
+    def w(self, nodes: AnyInts, levels: AnyInts) -> Ints:
         """Unknowns u_z; level 0 has none."""
         return self._at(nodes, 2 * self.levels + np.asarray(levels) - 1)
 
-    def _at(self, nodes: Ints, offset: Ints) -> Ints:
+    def _at(self, nodes: AnyInts, offset: AnyInts) -> Ints:
         nodes = np.asarray(nodes)
-        return (nodes[..., None, :] * self.stride + offset[:, None]).reshape(*nodes.shape[:-1], -1).astype(np.int32)
+        return (
+            (nodes[..., None, :] * self.stride + offset[:, None])
+            .reshape(*nodes.shape[:-1], -1)
+            .astype(np.int32)
+        )

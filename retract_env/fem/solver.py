@@ -14,7 +14,8 @@ from retract_env.objectives import WORST_FRACTION
 Array = NDArray[np.float64]
 
 STRAIN_TOLERANCE = 3e-5
-"""The error that is left has no more energy than this strain has in the worst-strained 1 % of the flap's volume."""
+"""The error that is left has no more energy than this strain has in the worst-strained 1 % of the flap's
+volume."""
 SLOW = 0.3
 """Factorise anew once an iteration shrinks the residual by less than this."""
 
@@ -57,7 +58,8 @@ class Equilibrium:
                 shift = grown
 
     def step(self, u: Array, du_driven: Array) -> Array:
-        """First-order change of the free unknowns when the driven ones change by du_driven (n,), from the tangent at u."""
+        """First-order change of the free unknowns when the driven ones change by du_driven (n,), from the
+        tangent at u."""
         if not self.usable:
             self.factorize(u)
         force = self.model.tangent_times(u, du_driven)
@@ -106,7 +108,8 @@ class Equilibrium:
                 continue
             rate = trial_norm / norm if norm > 0 else 0.0
             u, energy, force, norm = trial, trial_energy, trial_force, trial_norm
-            # -slope is twice the energy of the step; what is left after it shrinks with the square of the rate
+            # -slope is twice the energy of the step; what is left after it shrinks with the square of the
+            # rate
             if length == 1.0 and -slope * rate**2 < tolerance * (1 - min(rate, 0.99)) ** 2:
                 return u, force
             if rate > SLOW or length < 1.0:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
+from collections import defaultdict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 SMALLEST_CUT = 1 / 64
 """Part of a step below which it is not cut any further."""
-FIRST_PART = 0.1
+FIRST_PART = 0.3
 """Part of a step that is tried first after a corner of the path."""
 MEMORY = 4
 """Equilibria that the extrapolating predictor looks back on."""
@@ -29,7 +29,8 @@ MEMORY = 4
 class FemPhysics:
     """One flap between two jaws.
 
-    Raises Diverged where a pose has no equilibrium that can be reached from the one before; the state is then still the last good one.
+    Raises Diverged where a pose has no equilibrium that can be reached from the one before; the state is then
+    still the last good one.
     """
 
     def __init__(self, scene: Scene, jaw_x: float, resolution: str | Resolution = "fine"):
@@ -39,7 +40,7 @@ class FemPhysics:
                 raise ValueError(f"resolution = {resolution!r}, allowed {', '.join(RESOLUTIONS)}")
             resolution = RESOLUTIONS[resolution]
         self.scene, self.resolution, self.jaw_x = scene, resolution, jaw_x
-        self.seconds: Counter[str] = Counter()
+        self.seconds: defaultdict[str, float] = defaultdict(float)
         start = time.perf_counter()
         self.section = section_mesh(scene, jaw_x, resolution)
         self.seconds["mesh"] = time.perf_counter() - start
@@ -49,32 +50,39 @@ class FemPhysics:
         self._volumes = np.concatenate([b.by_element(b.weight).ravel() for b in self.model.prism.blocks])
         self.seconds["assembly"] = time.perf_counter() - start
         self._history: list[tuple[float, Array]] = []
-        self.reset()
+        self._begin()
+
+    def _begin(self) -> None:
+        height = self.scene.tissue.height
+        self._pose = to_pose(np.array([self.jaw_x, 0.0, self.jaw_x, height]))
+        self._u = self.model.at_rest()
+        self._force = np.zeros_like(self._u)
+        self._progress = 0.0
+        self._history.clear()
 
     def reset(self) -> TissueState:
-        """The flap at rest on its bed, jaws touching it."""
-        height = self.scene.tissue.height
-        jaws = np.array([self.jaw_x, 0.0, self.jaw_x, height])
-        u = self.model.at_rest()
-        self.model.place_jaws(u, jaws)
-        self._pose = to_pose(jaws)
-        self._history.clear()
+        """Let the flap rest on its bed, the open jaws holding it where they touch. Raises Diverged."""
+        self._begin()
+        self.equilibrium.usable = False
         start = time.perf_counter()
-        self._u, self._force = self.equilibrium.solve(u)
-        self.seconds["equilibrium"] += time.perf_counter() - start
-        self._progress = 0.0
+        try:
+            self._u, self._force = self.equilibrium.solve(self._u)
+        finally:
+            self.seconds["equilibrium"] += time.perf_counter() - start
         self._history.append((0.0, self._u))
         return self.state()
 
     def move_to(self, pose: Array, progress: float | None = None) -> TissueState:
-        """Move the jaws straight to a pose (4,) x, y, theta, separation, cutting the step where it cannot be solved.
+        """Move the jaws straight to a pose (4,) x, y, theta, separation, cutting the step where it cannot be
+        solved.
 
-        progress: where this is on a smooth path; equilibria of one path predict the next one. Without it the tangent does.
+        progress: where this is on a smooth path; equilibria of one path predict the next one. Without it the
+        tangent does.
         """
         pose = np.asarray(pose, float)
-        start_pose, target = self._pose, progress
-        begin = self._progress
-        # With one equilibrium to look back on, the tangent predicts: small steps first, until two or more of them predict better.
+        start_pose, begin, target = self._pose, self._progress, progress
+        # With one equilibrium to look back on, the tangent predicts: small steps first, until two or more of
+        # them predict better.
         done, part = 0.0, FIRST_PART if len(self._history) == 1 else 1.0
         start = time.perf_counter()
         try:
@@ -121,7 +129,8 @@ class FemPhysics:
             self._history.clear()
         else:
             self._progress = progress
-            self._history = [h for h in self._history if h[0] != progress][1 - MEMORY :] + [(progress, self._u)]
+            earlier = [h for h in self._history if h[0] != progress]
+            self._history = [*earlier[1 - MEMORY :], (progress, self._u)]
 
     def _extrapolate(self, progress: float) -> Array:
         """Lagrange's polynomial through the last equilibria."""
@@ -140,7 +149,9 @@ class FemPhysics:
         strains = np.concatenate([s.ravel() for s in per_block])
         weights = [b.by_element(b.weight) for b in model.prism.blocks]
         volume = np.sum([w.sum(axis=1) for w in weights], axis=0)
-        per_triangle = np.sum([(s * w).sum(axis=1) for s, w in zip(per_block, weights, strict=True)], axis=0) / volume
+        per_triangle = (
+            np.sum([(s * w).sum(axis=1) for s, w in zip(per_block, weights, strict=True)], axis=0) / volume
+        )
         worst = max((float(s.max()), int(s.max(axis=1).argmax())) for s in per_block)[1]
         axis = (jaws[2:] - jaws[:2]) / np.hypot(*(jaws[2:] - jaws[:2]))
         normals = np.array([axis, -axis])

@@ -102,9 +102,11 @@ class Body:
         return self.unknowns(self.at @ np.asarray(F, float).T + np.asarray(shift, float) - self.at)
 
 
-def prism_body(scene: Scene, section: SectionMesh, triangle_points: int = 3) -> Body:
-    """The half depth of a flap, as the product meshes it."""
-    prism = Prism(section, scene, triangle_points)
+def prism_body(
+    scene: Scene, section: SectionMesh, triangle_points: int = 3, per_height: float | None = None
+) -> Body:
+    """The half depth of a flap, as the product meshes it unless told how many layers."""
+    prism = Prism(section, scene, triangle_points, **({} if per_height is None else {"per_height": per_height}))
     nodes, levels = np.arange(len(section.points), dtype=np.int32), np.arange(prism.levels, dtype=np.int32)
     at = np.concatenate([np.column_stack([section.points, np.full(len(nodes), z)]) for z in prism.z])
     dofs = [prism.x(nodes, levels), prism.y(nodes, levels), prism.w(nodes, levels[1:])]

@@ -1,0 +1,135 @@
+"""Homogeneous finite-strain solutions, known exactly, are found to rounding."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from retract_env.fem.elements import lame
+from retract_env.mesh import Resolution, section_mesh
+from tests.retract_env.bodies import HEIGHT, Body, deformation, flap, prism_body, relax, stress
+from tests.retract_env.boxes import box_grid, hex27, isoparametric, tet10, tetrahedra
+
+Array = NDArray[np.float64]
+
+SIZE = np.array([0.012, HEIGHT, HEIGHT / 2])
+MODULUS = 40e3
+
+
+def hexahedra(poisson: float) -> Body:
+    return isoparametric(*box_grid((3, 2, 2), SIZE, warp=0.15), hex27(), MODULUS, poisson)
+
+
+def tetrahedral(poisson: float) -> Body:
+    return isoparametric(*tetrahedra(*box_grid((3, 2, 1), SIZE)), tet10(), MODULUS, poisson)
+
+
+def half_flap(poisson: float) -> Body:
+    scene = flap(length=SIZE[0], poisson=poisson)
+    return prism_body(scene, section_mesh(scene, None, Resolution("test", 1, 0.3, 0.6, 0.6)))
+
+
+BODIES: dict[str, Callable[[float], Body]] = {"hex-27": hexahedra, "tet-10": tetrahedral, "half flap": half_flap}
+
+
+@pytest.fixture(scope="module", params=[(n, nu) for n in BODIES for nu in (0.3, 0.49)], ids=str)
+def case(request: pytest.FixtureRequest) -> tuple[Body, float]:
+    name, poisson = request.param
+    return BODIES[name](poisson), poisson
+
+
+def face(body: Body, axis: int, high: bool) -> NDArray[np.bool_]:
+    """Nodes (n,) of one side of the box."""
+    x = body.at[:, axis]
+    return np.abs(x - (x.max() if high else x.min())) < 1e-9
+
+
+def held(body: Body, nodes: NDArray[np.bool_], *axes: int) -> NDArray[np.bool_]:
+    """Unknowns (size,) of nodes in directions."""
+    mask = np.zeros(body.at.shape)
+    mask[np.ix_(nodes, axes)] = 1
+    return body.unknowns(mask) > 0
+
+
+def resultant(body: Body, force: Array, nodes: NDArray[np.bool_]) -> Array:
+    return body.vectors(force)[nodes].sum(axis=0)
+
+
+Case = tuple[Body, float]
+
+
+# --- Homogeneous deformations
+
+
+@pytest.mark.parametrize("stretch", [0.7, 1.5])
+def test_uniaxial_stretch(case: Case, stretch: float) -> None:
+    """The lateral stretch makes the lateral stress zero; force is stress times area."""
+    body, poisson = case
+    mu, lam = (float(v) for v in lame(np.array(MODULUS), np.array(poisson)))
+
+    def lateral_stress(t: float) -> float:
+        return mu * (t * t - 1) + lam * np.log(stretch * t * t)
+
+    t = brentq(lateral_stress, 0.3, 3.0, xtol=1e-15)
+    ends = face(body, 0, False) | face(body, 0, True)
+    prescribed = held(body, ends, 0) | held(body, face(body, 1, False), 1) | held(body, face(body, 2, False), 2)
+    target = body.affine(np.diag([stretch, t, t]))
+    guess = body.affine(np.diag([stretch, 1.03 * t, 0.97 * t]))
+    u, force = relax(body.assembly(~prescribed), np.where(prescribed, target, guess))
+    assert np.abs(u - target).max() < 1e-10 * SIZE[0]
+    P = mu * stretch + (lam * np.log(stretch * t * t) - mu) / stretch
+    assert resultant(body, force, face(body, 0, True))[0] == pytest.approx(P * SIZE[1] * SIZE[2], rel=1e-9)
+    for stretches in body.whole.stretches(u):
+        assert np.abs(stretches - np.sort([stretch, t, t])).max() < 1e-7
+
+
+def test_simple_shear(case: Case) -> None:
+    """sigma_xy = mu gamma, sigma_xx = mu gamma^2, no pressure: the volume is kept."""
+    body, poisson = case
+    mu = MODULUS / (2 * (1 + poisson))
+    gamma = 0.6
+    F = np.eye(3)
+    F[0, 1] = gamma
+    sides = [face(body, axis, high) for axis in (0, 1) for high in (False, True)]
+    prescribed = held(body, np.any(sides, axis=0), 0, 1, 2) | held(body, face(body, 2, False), 2)
+    u = body.affine(F)
+    u[~prescribed] *= 0.9
+    solved, force = relax(body.assembly(~prescribed), u)
+    assert np.abs(solved - body.affine(F)).max() < 1e-10 * SIZE[0]
+    for block in body.blocks:
+        P = stress(deformation(block, solved), MODULUS, poisson)
+        cauchy = P @ F.T  # J = 1
+        expected = mu * np.array([[gamma**2, gamma, 0], [gamma, 0, 0], [0, 0, 0]])
+        assert np.abs(cauchy - expected).max() < 1e-8 * mu
+    # couples of shear stress times area, from the forces that hold the sides
+    virial = np.einsum("ni,nj->ij", body.vectors(force), body.at)
+    volume = np.prod(SIZE)
+    assert virial[0, 1] == pytest.approx(mu * gamma * volume, rel=1e-8)
+    assert virial[1, 0] == pytest.approx(mu * gamma * volume, rel=1e-8)
+    assert virial[1, 1] == pytest.approx(0, abs=1e-8 * mu * volume)
+
+
+@pytest.mark.parametrize("stretch", [0.85, 1.2])
+def test_homogeneous_pressure(case: Case, stretch: float) -> None:
+    """A body swollen alike in all directions pushes on each side with its Cauchy pressure times the area now."""
+    body, poisson = case
+    mu, lam = (float(v) for v in lame(np.array(MODULUS), np.array(poisson)))
+    prescribed = np.zeros(body.size, bool)
+    for axis in range(3):
+        for high in (False, True):
+            prescribed |= held(body, face(body, axis, high), axis)
+    target = body.affine(stretch * np.eye(3))
+    u = np.zeros(body.size)
+    u[prescribed] = target[prescribed]
+    u[~prescribed] = 0.9 * target[~prescribed]
+    solved, force = relax(body.assembly(~prescribed), u)
+    assert np.abs(solved - target).max() < 1e-10 * SIZE[0]
+    pressure = (mu * (stretch**2 - 1) + 3 * lam * np.log(stretch)) / stretch**3
+    for axis in range(3):
+        area = stretch**2 * np.prod(np.delete(SIZE, axis))
+        on_side = resultant(body, force, face(body, axis, True))[axis]
+        assert on_side == pytest.approx(pressure * area, rel=1e-9)
