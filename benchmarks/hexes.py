@@ -35,6 +35,13 @@ class HexFlap:
     """unknowns, sorted"""
     free: Ints
 
+    @property
+    def lame(self) -> tuple[float, float]:
+        """mu and lambda, Pa."""
+        tissue = self.scene.tissue
+        mu, lam = lame(np.array(tissue.modulus), np.array(tissue.poisson))
+        return float(mu), float(lam)
+
     def place_jaws(self, u: Array, jaws: Array) -> None:
         """Write into u (3 n,) m both patches' displacement, rigid in x-y and free in z; jaws: (4,) m."""
         axis = (jaws[2:] - jaws[:2]) / np.hypot(*(jaws[2:] - jaws[:2]))
@@ -54,13 +61,19 @@ class HexFlap:
         jacobian = np.einsum("qjk,mki->mqij", local, self.points[self.cells])
         gradient = np.einsum("qjk,mqji->mqik", local, np.linalg.inv(jacobian))
         weight = np.linalg.det(jacobian) * np.einsum("p,q,r->pqr", w, w, w).ravel()
-        tissue = self.scene.tissue
-        both = lame(np.array(tissue.modulus), np.array(tissue.poisson))
-        modulus, poisson = np.array(tissue.modulus), np.array(tissue.poisson)
-        mu, lam = (np.full(len(self.cells), v) for v in lame(modulus, poisson))
+        mu, lam = (np.full(len(self.cells), v) for v in self.lame)
         dofs = np.concatenate([3 * self.cells + i for i in range(3)], axis=1).astype(np.int32)
         block = ElementBlock.of(gradient, gradient, weight, mu, lam, dofs)
         return Assembly([block], 3 * len(self.points), self.free.astype(np.int32))
+
+
+class HexModel:
+    """What `Equilibrium` asks of a model, on the elements of a HexFlap."""
+
+    def __init__(self, flap: HexFlap):
+        self.scene, self.free, self.assembly = flap.scene, flap.free, flap.assembly()
+        self.residual, self.tangent = self.assembly.residual, self.assembly.tangent
+        self.tangent_times = self.assembly.tangent_times
 
 
 def hex_flap(scene: Scene, jaw_x: float, patch: int, rows: int, growth: float = 1.5) -> HexFlap:

@@ -76,7 +76,7 @@ class Certificate:
     def from_json(cls, data: Mapping[str, Any]) -> Certificate:
         """The inverse of `to_json`. Raises ValueError where the content does not match its hash."""
         names = {f.name for f in fields(cls)} - {"frames", "section"}
-        if set(data) != names | {"hash"}:
+        if not isinstance(data, Mapping) or set(data) != names | {"hash"}:
             raise ValueError("certificate: fields are missing or unknown")
         content = {k: v for k, v in data.items() if k != "hash"}
         text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)

@@ -49,6 +49,7 @@ OWNERS = {
     "netgen": ("retract_env.mesh",),
     "pybullet": ("retract_env.physics.bullet",),
     "pypardiso": ("retract_env.fem.linear",),
+    "qdldl": ("retract_env.fem.linear",),
     "sb3_contrib": ("baselines",),
     "stable_baselines3": ("baselines",),
     "torch": ("baselines",),

@@ -50,8 +50,9 @@ class Assembly:
             numbered = np.where(block.weight.any(axis=1)[:, None, :], number[block.dofs], -1)
             keys.append(_keys(numbered, rows, cols, len(self.free)))
         flat = np.sort(np.concatenate([k.ravel() for k in keys]))
-        flat = flat[np.searchsorted(flat, 0) :]
-        unique = flat[np.flatnonzero(np.diff(flat, prepend=-1))]
+        fresh = np.ones(len(flat), bool)
+        fresh[1:] = np.not_equal(flat[1:], flat[:-1])
+        unique = flat[fresh & (flat >= 0)]
         n = len(self.free)
         self.indices = (unique % n).astype(np.int32)
         self.indptr = np.searchsorted(unique, np.arange(n + 1, dtype=np.int64) * n).astype(np.int32)

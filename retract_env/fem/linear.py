@@ -1,7 +1,7 @@
 """The one seam to sparse direct solvers: symmetric positive definite systems, factorised many times on one
 pattern.
 
-PARDISO of Intel's MKL where it is installed (x86-64), else SciPy's SuperLU. PARDISO is called through
+PARDISO of Intel's MKL where it is installed (x86-64), else QDLDL. PARDISO is called through
 pypardiso's handle of the library, not through its solver class, which would copy and compare the matrix at
 every call.
 """
@@ -9,12 +9,12 @@ every call.
 from __future__ import annotations
 
 import ctypes
+import weakref
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csc_matrix, csr_matrix, triu
-from scipy.sparse.linalg import splu
+from scipy.sparse import csc_matrix, csr_matrix
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -34,7 +34,7 @@ class Factor(Protocol):
 
 def cholesky(indptr: Ints, indices: Ints) -> Factor:
     """A factorisation for the pattern of an upper triangle in CSR form, diagonal included."""
-    return Pardiso(indptr, indices) if _pardiso() is not None else SuperLU(indptr, indices)
+    return Pardiso(indptr, indices) if _pardiso() is not None else Qdldl(indptr, indices)
 
 
 _library: Any = False  # False: not looked for yet
@@ -66,72 +66,92 @@ class Pardiso:
     """Supernodal Cholesky of Intel MKL, one handle a pattern."""
 
     def __init__(self, indptr: Ints, indices: Ints):
-        self._lib = _pardiso()
-        self._n = len(indptr) - 1
-        self._ia = np.ascontiguousarray(indptr, np.int32) + np.int32(1)
-        self._ja = np.ascontiguousarray(indices, np.int32) + np.int32(1)
-        self._handle = np.zeros(64, np.int64)
-        self._iparm = np.zeros(64, np.int32)
-        self._iparm[0] = 1  # own settings
-        self._iparm[1] = 2  # nested dissection
-        self._iparm[7] = 0  # no iterative refinement: Newton corrects
-        self._iparm[23] = 1  # two-level factorisation: solves three times faster than the default
+        ia = np.ascontiguousarray(indptr, np.int32) + np.int32(1)
+        ja = np.ascontiguousarray(indices, np.int32) + np.int32(1)
+        iparm = np.zeros(64, np.int32)
+        iparm[0] = 1  # own settings
+        iparm[1] = 2  # nested dissection
+        iparm[7] = 0  # no iterative refinement: Newton corrects
+        iparm[23] = 1  # two-level factorisation: solves three times faster than the default
+        self._state = (_pardiso(), np.zeros(64, np.int64), ia, ja, iparm)
         self._analysed = False
-
-    def _call(self, phase: int, values: Array | None, b: Array | None = None, x: Array | None = None) -> int:
-        def ref(i: int) -> Any:
-            return ctypes.byref(ctypes.c_int32(i))
-
-        def at(a: NDArray[Any] | None) -> ctypes.c_void_p | None:
-            return None if a is None else ctypes.c_void_p(a.ctypes.data)
-
-        error = ctypes.c_int32(0)
-        columns = 1 if b is None or b.ndim == 1 else b.shape[1]
-        self._lib.pardiso(
-            at(self._handle), ref(1), ref(1), ref(_SPD), ref(phase), ref(self._n), at(values), at(self._ia),
-            at(self._ja), None, ref(columns), at(self._iparm), ref(0), at(b), at(x), ctypes.byref(error),
-        )  # fmt: skip
-        return error.value
 
     def factorize(self, values: Array) -> None:
         phase = 22 if self._analysed else 12
-        error = self._call(phase, values)
+        error = _call(*self._state, phase, values)
         if error == _NOT_POSITIVE:
             raise NotPositiveDefinite
         if error:
             raise RuntimeError(f"PARDISO stopped with error {error}")
-        self._analysed = True
+        if not self._analysed:
+            self._analysed = True
+            # not at exit: the library may be gone by then, and the memory goes anyway
+            weakref.finalize(self, _call, *self._state, -1).atexit = False
         self._values = values
 
     def solve(self, b: Array) -> Array:
         b = np.asfortranarray(b, float)
         x = np.empty_like(b)
-        error = self._call(33, self._values, b, x)
+        error = _call(*self._state, 33, self._values, b, x)
         if error:
             raise RuntimeError(f"PARDISO stopped with error {error}")
         return x
 
-    def __del__(self) -> None:
-        if getattr(self, "_analysed", False):
-            self._call(-1, None)
 
 
-class SuperLU:
-    """SciPy's general LU in symmetric mode: slower, but everywhere."""
+def _call(
+    library: Any,
+    handle: NDArray[np.int64],
+    ia: Ints,
+    ja: Ints,
+    iparm: Ints,
+    phase: int,
+    values: Array | None = None,
+    b: Array | None = None,
+    x: Array | None = None,
+) -> int:
+    """PARDISO's one entry point; returns its error."""
+
+    def ref(i: int) -> Any:
+        return ctypes.byref(ctypes.c_int32(i))
+
+    def at(a: NDArray[Any] | None) -> ctypes.c_void_p | None:
+        return None if a is None else ctypes.c_void_p(a.ctypes.data)
+
+    error = ctypes.c_int32(0)
+    columns = 1 if b is None or b.ndim == 1 else b.shape[1]
+    library.pardiso(
+        at(handle), ref(1), ref(1), ref(_SPD), ref(phase), ref(len(ia) - 1), at(values), at(ia), at(ja),
+        None, ref(columns), at(iparm), ref(0), at(b), at(x), ctypes.byref(error),
+    )  # fmt: skip
+    return error.value
+
+
+class Qdldl:
+    """Simplicial L D L^T of the QDLDL library: about three times slower, but with wheels everywhere."""
 
     def __init__(self, indptr: Ints, indices: Ints):
         n = len(indptr) - 1
-        self._upper = csr_matrix((np.ones(len(indices)), indices, indptr), shape=(n, n))
+        self._upper = csr_matrix((np.arange(len(indices)), indices, indptr), shape=(n, n)).tocsc()
+        self._order = self._upper.data
+        self._solver: Any = None
 
     def factorize(self, values: Array) -> None:
-        upper = csr_matrix((values, self._upper.indices, self._upper.indptr), shape=self._upper.shape)
-        full = csc_matrix(upper + triu(upper, 1).T)
-        self._lu = splu(
-            full, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-        )
-        # With pivots kept on the diagonal, U's diagonal has the signs of the inertia.
-        if not (self._lu.U.diagonal() > 0).all():
+        import qdldl
+
+        upper = csc_matrix((values[self._order], self._upper.indices, self._upper.indptr), shape=self._upper.shape)
+        try:
+            if self._solver is None:
+                self._solver = qdldl.Solver(upper, upper=True)
+            else:
+                self._solver.update(upper, upper=True)
+        except RuntimeError as error:  # a zero pivot
+            self._solver = None
+            raise NotPositiveDefinite from error
+        if not (self._solver.factors()[1] > 0).all():
             raise NotPositiveDefinite
 
     def solve(self, b: Array) -> Array:
-        return self._lu.solve(np.ascontiguousarray(b, float))
+        columns = np.asarray(b, float).reshape(len(b), -1)
+        x = np.stack([self._solver.solve(np.ascontiguousarray(c)) for c in columns.T], axis=1)
+        return x.reshape(np.shape(b))

@@ -12,7 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from retract_env.fem.assembly import Assembly
 from retract_env.fem.elements import ElementBlock, lame
 from retract_env.fem.linear import cholesky
+from retract_env.fem.model import FlapModel
 from retract_env.fem.prism import Prism
+from retract_env.fem.solver import Equilibrium
 from retract_env.mesh import SectionMesh
 from retract_env.scene import Jaws, LineOfSight, Scene, Tissue, Vein
 
@@ -106,7 +108,9 @@ def prism_body(
     scene: Scene, section: SectionMesh, triangle_points: int = 3, per_height: float | None = None
 ) -> Body:
     """The half depth of a flap, as the product meshes it unless told how many layers."""
-    prism = Prism(section, scene, triangle_points, **({} if per_height is None else {"per_height": per_height}))
+    prism = Prism(
+        section, scene, triangle_points, **({} if per_height is None else {"per_height": per_height})
+    )
     nodes, levels = np.arange(len(section.points), dtype=np.int32), np.arange(prism.levels, dtype=np.int32)
     at = np.concatenate([np.column_stack([section.points, np.full(len(nodes), z)]) for z in prism.z])
     dofs = [prism.x(nodes, levels), prism.y(nodes, levels), prism.w(nodes, levels[1:])]
@@ -130,29 +134,39 @@ def stress(F: Array, modulus: ArrayLike, poisson: ArrayLike) -> Array:
     return mu * F + (lam * log_j - mu) * np.swapaxes(np.linalg.inv(F), -1, -2)
 
 
-def relax(assembly: Assembly, u: Array, load: Array | float = 0.0) -> tuple[Array, Array]:
-    """Equilibrium to rounding, by Newton with a line search: u (n,) m and the forces (n,) N that hold it."""
+def relax(solid: Assembly | FlapModel, u: Array, load: Array | float = 0.0) -> tuple[Array, Array]:
+    """Equilibrium to rounding, by Newton with a line search: u (n,) m and the forces (n,) N that hold it.
+
+    A flap bears its own loads already.
+    """
+    assembly = solid if isinstance(solid, Assembly) else solid.assembly
     free = assembly.free
     factor = cholesky(assembly.indptr, assembly.indices)
-    energy, force = assembly.residual(u)
+    energy, force = solid.residual(u)
     best = np.inf
     for _ in range(60):
         out = force - load
         norm = float(np.linalg.norm(out[free]))
-        scale = float(np.linalg.norm(force) + np.linalg.norm(load))
-        if norm <= 1e-13 * scale or (norm < 1e-9 * scale and norm > 0.5 * best):
+        scale = float(np.linalg.norm(assembly.residual(u)[1]))
+        if norm <= 1e-14 * scale or (norm < 1e-9 * scale and norm > 0.5 * best):
             return u, out
         best = min(best, norm)
-        factor.factorize(assembly.tangent(u))
+        factor.factorize(solid.tangent(u))
         step = np.zeros_like(u)
         step[free] = -factor.solve(out[free])
         length, potential = 1.0, energy - float(np.sum(load * u))
         while True:
             trial = u + length * step
-            energy, force = assembly.residual(trial)
+            energy, force = solid.residual(trial)
             if energy - float(np.sum(load * trial)) <= potential + 1e-9 * abs(potential):
                 break
             length /= 2
             assert length > 1e-9, "no descent"
         u = trial
     raise AssertionError("no equilibrium")
+
+
+def settled(model: FlapModel, u: Array | None = None) -> tuple[Array, Array]:
+    """The flap's equilibrium to rounding, from a first guess, and the forces that hold it."""
+    rough, _ = Equilibrium(model).solve(np.zeros(model.prism.size) if u is None else u)
+    return relax(model, rough)

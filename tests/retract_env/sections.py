@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -63,3 +64,11 @@ def split(section: SectionMesh, scene: Scene, jaw_x: float | None = None) -> Sec
     t = section.triangles
     corners = np.concatenate([t[:, k] for k in ([0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5])])
     return section_of(section.points, corners.astype(np.int64), scene, jaw_x)
+
+
+def turned_over(section: SectionMesh, height: float) -> SectionMesh:
+    """The mirror image y -> height - y, nodes in the same order; the upper patch becomes the lower one."""
+    triangles = section.triangles[:, [0, 2, 1, 5, 4, 3]]
+    points = np.column_stack([section.points[:, 0], height - section.points[:, 1]])
+    patches = section.patches[1], section.patches[0]
+    return replace(section, points=points, triangles=triangles, patches=patches)

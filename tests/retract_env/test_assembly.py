@@ -12,7 +12,7 @@ from scipy.sparse import csr_matrix, random_array, triu
 
 from retract_env.fem import linear
 from retract_env.fem.assembly import Assembly, block_triangle
-from retract_env.fem.linear import Factor, NotPositiveDefinite, SuperLU
+from retract_env.fem.linear import Factor, NotPositiveDefinite, Qdldl
 from retract_env.mesh import Resolution, section_mesh
 from tests.retract_env.bodies import HEIGHT, Body, flap, prism_body, square_vein
 from tests.retract_env.boxes import box_grid, hex27, isoparametric, tet10, tetrahedra
@@ -115,13 +115,13 @@ def test_assembly_repeats_bit_for_bit(body: Body) -> None:
 
 # --- Linear solvers
 
-BACKENDS = ["SuperLU", "Pardiso"]
+BACKENDS = ["Qdldl", "Pardiso"]
 
 
 @pytest.fixture(params=BACKENDS)
 def backend(request: pytest.FixtureRequest) -> Callable[[Ints, Ints], Factor]:
-    if request.param == "SuperLU":
-        return SuperLU
+    if request.param == "Qdldl":
+        return Qdldl
     pytest.importorskip("pypardiso")
     return linear.Pardiso
 

@@ -33,7 +33,11 @@ def half_flap(poisson: float) -> Body:
     return prism_body(scene, section_mesh(scene, None, Resolution("test", 1, 0.3, 0.6, 0.6)))
 
 
-BODIES: dict[str, Callable[[float], Body]] = {"hex-27": hexahedra, "tet-10": tetrahedral, "half flap": half_flap}
+BODIES: dict[str, Callable[[float], Body]] = {
+    "hex-27": hexahedra,
+    "tet-10": tetrahedral,
+    "half flap": half_flap,
+}
 
 
 @pytest.fixture(scope="module", params=[(n, nu) for n in BODIES for nu in (0.3, 0.49)], ids=str)
@@ -51,7 +55,8 @@ def face(body: Body, axis: int, high: bool) -> NDArray[np.bool_]:
 def held(body: Body, nodes: NDArray[np.bool_], *axes: int) -> NDArray[np.bool_]:
     """Unknowns (size,) of nodes in directions."""
     mask = np.zeros(body.at.shape)
-    mask[np.ix_(nodes, axes)] = 1
+    for axis in axes:
+        mask[nodes, axis] = 1
     return body.unknowns(mask) > 0
 
 
@@ -76,7 +81,9 @@ def test_uniaxial_stretch(case: Case, stretch: float) -> None:
 
     t = brentq(lateral_stress, 0.3, 3.0, xtol=1e-15)
     ends = face(body, 0, False) | face(body, 0, True)
-    prescribed = held(body, ends, 0) | held(body, face(body, 1, False), 1) | held(body, face(body, 2, False), 2)
+    prescribed = (
+        held(body, ends, 0) | held(body, face(body, 1, False), 1) | held(body, face(body, 2, False), 2)
+    )
     target = body.affine(np.diag([stretch, t, t]))
     guess = body.affine(np.diag([stretch, 1.03 * t, 0.97 * t]))
     u, force = relax(body.assembly(~prescribed), np.where(prescribed, target, guess))
@@ -115,7 +122,7 @@ def test_simple_shear(case: Case) -> None:
 
 @pytest.mark.parametrize("stretch", [0.85, 1.2])
 def test_homogeneous_pressure(case: Case, stretch: float) -> None:
-    """A body swollen alike in all directions pushes on each side with its Cauchy pressure times the area now."""
+    """A body swollen alike in all directions pushes on each side with pressure times its area now."""
     body, poisson = case
     mu, lam = (float(v) for v in lame(np.array(MODULUS), np.array(poisson)))
     prescribed = np.zeros(body.size, bool)

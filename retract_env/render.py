@@ -1,0 +1,121 @@
+"""Fast drawing of the flap's section, for `render_mode="rgb_array"` and "human" and for `obs="pixels"`.
+
+Frames are drawn in memory: no display is needed, and only text goes through pygame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from retract_env.gauges import Strip
+from retract_env.lettering import Lettering
+from retract_env.palette import HIDDEN, INK, STEEL, STRAIN, VEIN_EDGE, WHITE, Bytes, rgb
+from retract_env.scenery import Scenery, draw_words, view_of
+from retract_env.shapes import JawShapes, SectionTopology, broken, seen_spans, shadows
+from retract_env.window import Window
+
+if TYPE_CHECKING:
+    from retract_env.mesh import SectionMesh
+    from retract_env.physics.base import TissueState
+    from retract_env.scene import Scene
+
+__all__ = ["SectionRenderer", "Window"]
+
+DRAWN_WIDTH = 640
+"""px, width of a frame for which the sizes below and in gauges.py and scenery.py are given."""
+STRIP, GROUND_ROWS = 92, 28
+"""px, heights of the strip and of the bed above it."""
+LETTERS = 15.5
+LEAST = 160
+FINER = 3
+"""Pixels of the small picture are means over as many, squared."""
+SMALL_RIGHT, SMALL_BED = 0.2, 0.07
+"""What the small picture shows behind the fixed end over the flap's length, and of the bed over its height."""
+
+
+class SectionRenderer:
+    """Draws states of one section of one scene."""
+
+    def __init__(self, scene: Scene, section: SectionMesh, size: tuple[int, int] = (640, 480)):
+        """size: width and height of a frame, px. Raises ValueError where that is too small to read."""
+        if min(size) < LEAST:
+            raise ValueError(f"size = {tuple(size)} px, allowed {LEAST} and more either way")
+        self.scene, self.size = scene, size
+        self._topology, self._jaws = SectionTopology(section), JawShapes(scene)
+        self._frame: tuple[Scenery, Strip, Lettering] | None = None
+        self._small: dict[tuple[int, int], Scenery] = {}
+
+    def draw(self, state: TissueState, history: Sequence[TissueState] = ()) -> Bytes:
+        """Frame (h, w, 3) of a state, with the curves of the states so far.
+
+        history: oldest first; whether it ends with `state` itself or just before makes no difference.
+        """
+        if self._frame is None:
+            self._frame = self._new_frame()
+        scenery, strip, letters = self._frame
+        self._paint(scenery, state)
+        ends_with_state = len(history) > 0 and history[-1] is state
+        strip.draw(scenery.canvas, letters, history if ends_with_state else [*history, state])
+        return scenery.canvas.image.copy()
+
+    def pixels(self, state: TissueState, size: tuple[int, int] = (96, 96)) -> Bytes:
+        """Small picture (h, w, 3) of the section in the camera's plane, without text: an observation."""
+        if size not in self._small:
+            width, height = size[0] * FINER, size[1] * FINER
+            ground = round(SMALL_BED * height)
+            view = view_of(self.scene, width, height - ground, SMALL_RIGHT)
+            self._small[size] = Scenery(self.scene, view, (width, height), ground, unit=0.75 * FINER)
+        scenery = self._small[size]
+        self._paint(scenery, state)
+        return _shrunk(scenery.canvas.image, FINER)
+
+    def close(self) -> None:
+        """Give back the memory that is drawn on; drawing again takes it anew."""
+        self._frame = None
+        self._small.clear()
+
+    def _new_frame(self) -> tuple[Scenery, Strip, Lettering]:
+        width, height = self.size
+        unit = min(width / DRAWN_WIDTH, height / (0.75 * DRAWN_WIDTH))
+        strip_top, ground = height - round(STRIP * unit), round(GROUND_ROWS * unit)
+        scenery = Scenery(
+            self.scene, view_of(self.scene, width, strip_top - ground), (width, height), ground, unit
+        )
+        letters = Lettering(scenery.canvas.image, LETTERS * unit)
+        strip = Strip(self.scene, (0, strip_top, width, height), unit)
+        draw_words(scenery, letters)
+        strip.draw_behind(scenery.canvas, letters)
+        scenery.keep()
+        return scenery, strip, letters
+
+    def _paint(self, scenery: Scenery, state: TissueState) -> None:
+        topology, view, canvas, unit = self._topology, scenery.view, scenery.canvas, scenery.unit
+        scenery.begin()
+        points = np.asarray(state.points, dtype=np.float64)
+        outline, sight = points[topology.outline], self.scene.line_of_sight
+        corners, faces = shadows(outline, sight.camera)
+        shade = np.array([rgb(HIDDEN)], dtype=np.uint8)
+        canvas.triangles(view(corners), faces, np.zeros(len(corners)), shade)
+        pixels = view(points)
+        share = topology.smooth(state.strain) / self.scene.limits.strain
+        canvas.triangles(pixels[topology.nodes], topology.faces, share, STRAIN)
+        canvas.stroke(broken(pixels[topology.vein_edges]), rgb(VEIN_EDGE), 1.1 * unit)
+        canvas.stroke(pixels[topology.outline], rgb(INK), 1.5 * unit)
+        pads, fingers = self._jaws.at(state.jaws)
+        for shapes, colour in ((fingers, STEEL), (pads, INK)):
+            for shape in shapes:
+                placed = view(shape)
+                canvas.polygon(placed, rgb(colour))
+                canvas.stroke(np.vstack((placed, placed[:1])), rgb(WHITE), 0.7 * unit)
+        scenery.cover(seen_spans(outline, sight.camera, -self.scene.tissue.length, sight.target[0]))
+
+
+def _shrunk(image: Bytes, times: int) -> Bytes:
+    """Means over times x times pixels: (times h, times w, 3) to (h, w, 3)."""
+    h, w = image.shape[0] // times, image.shape[1] // times
+    sums = np.add.reduce(image.reshape(h, times, w * times, 3), axis=1, dtype=np.uint16)
+    sums = np.add.reduce(sums.reshape(h, w, times, 3), axis=2, dtype=np.uint16)
+    return ((sums + times * times // 2) // (times * times)).astype(np.uint8)

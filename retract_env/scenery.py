@@ -1,0 +1,168 @@
+"""What stands still around the flap: bed, fixed end, line of sight, the wedge that tissue must leave."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from retract_env.lettering import Lettering
+from retract_env.palette import GREY, GROUND, HATCH, INK, LIMIT, SIGHT, STRAIN, WEDGE, WHITE, Bytes, rgb
+from retract_env.raster import Canvas
+
+if TYPE_CHECKING:
+    from retract_env.scene import Scene
+
+Array = NDArray[np.float64]
+
+LEFT, RIGHT = 1.1, 0.45
+"""What a picture shows before and behind the fixed end, over the flap's length."""
+
+
+@dataclass(frozen=True)
+class View:
+    """Where metres fall on a picture."""
+
+    left: float
+    """m, x of the left border"""
+    bed: int
+    """px, row of y = 0"""
+    scale: float
+    """px per m"""
+
+    def __call__(self, points: ArrayLike) -> Array:
+        """Pixels (..., 2), x to the right and y down, of points (..., 2) m."""
+        points = np.asarray(points, dtype=np.float64)
+        return np.stack(
+            ((points[..., 0] - self.left) * self.scale, self.bed - points[..., 1] * self.scale), axis=-1
+        )
+
+
+def view_of(scene: Scene, width: int, bed: int, right: float = RIGHT) -> View:
+    """`width` px show the flap, LEFT before and `right` behind the fixed end, times its length."""
+    length = scene.tissue.length
+    return View(left=-LEFT * length, bed=bed, scale=width / ((LEFT + right) * length))
+
+
+class Scenery:
+    """A picture that states are drawn on: what lies behind the flap is drawn once, what lies over it each time."""
+
+    def __init__(self, scene: Scene, view: View, size: tuple[int, int], ground: int, unit: float):
+        """size: px; ground: px, rows of bed below the view's; unit: px, width of a thin line."""
+        self.scene, self.view, self.unit, self._ground = scene, view, unit, ground
+        self.canvas = Canvas(np.empty((size[1], size[0], 3), dtype=np.uint8))
+        target = np.array(scene.line_of_sight.target)
+        climb = np.array(scene.line_of_sight.camera) - target
+        self._distance = float(np.hypot(*climb))
+        self.away: Array = climb / self._distance * (1, -1)  # from B to A, on the picture
+        self._target = view(target)
+        self.sight_end: Array = self._target + self.away * self._visible_length(size[0])
+        self._draw_behind()
+        self._still: Bytes = self.canvas.image.copy()
+
+    def keep(self) -> None:
+        """What has been drawn by now stays."""
+        self._still = self.canvas.image.copy()
+
+    def begin(self) -> None:
+        """Clear the stage."""
+        np.copyto(self.canvas.image, self._still)
+
+    def cover(self, seen: Array) -> None:
+        """Draw what lies over the flap. seen: (s, 2) m, parts of the area of interest that the camera sees."""
+        canvas, view, unit, sight = self.canvas, self.view, self.unit, rgb(SIGHT)
+        canvas.image[view.bed :] = self._still[view.bed :]
+        length, target = self.scene.tissue.length, self.scene.line_of_sight.target
+        x0, x1 = view([(-length, 0.0), target])[:, 0]
+        top, bottom = view.bed + unit, view.bed + 5.5 * unit
+        canvas.box(x0, top, x1, bottom, rgb(LIMIT))
+        for span in seen:
+            a, b = view(np.column_stack((span, (0.0, 0.0))))[:, 0]
+            canvas.box(a, top, b, bottom, sight)
+        foot, head = view([(0.0, 0.0), (0.0, self.scene.tissue.height)])
+        canvas.stroke([foot, head], rgb(INK), 2.5 * unit)
+        canvas.stroke([self._target, self.sight_end], sight, 1.8 * unit)
+        for colour, radius in ((WHITE, 5.2 * unit), (SIGHT, 4.0 * unit)):
+            canvas.stroke([self._target, self._target], rgb(colour), 2 * radius)
+
+    def _visible_length(self, width: int) -> float:
+        """px from B along AB to the camera or to where the picture ends."""
+        inside = 12 * self.unit
+        room = [self._distance * self.view.scale, (self._target[1] - inside) / -self.away[1]]
+        if self.away[0] < 0:
+            room.append((self._target[0] - inside) / -self.away[0])
+        return float(min(room))
+
+    def _draw_behind(self) -> None:
+        canvas, view, unit = self.canvas, self.view, self.unit
+        height, width = canvas.image.shape[:2]
+        canvas.image[:] = 255
+        far = 4.0 * max(height, width)
+        beyond = self._target + far * self.away
+        canvas.polygon([self._target, beyond, (-far, beyond[1]), (-far, self._target[1])], rgb(WEDGE))
+        wall = view((0.0, self.scene.tissue.height))
+        canvas.image[view.bed :] = 255
+        self._hatch(0, view.bed, width, min(view.bed + self._ground, height))
+        self._hatch(round(wall[0]), round(wall[1]), width, view.bed)
+        canvas.stroke([(0, view.bed), (width, view.bed)], rgb(GREY), unit)
+        self._draw_camera()
+
+    def _hatch(self, left: int, top: int, right: int, bottom: int) -> None:
+        patch = Canvas(np.full((bottom - top, right - left, 3), rgb(GROUND), dtype=np.uint8))
+        tall = bottom - top
+        step = 7 * self.unit
+        # strokes of both boxes lie on the same lines
+        start = math.floor((left - tall - bottom) / step) * step + bottom - left
+        for x in np.arange(start, right - left, step):
+            patch.stroke([(x, tall), (x + tall, 0)], rgb(HATCH), 0.7 * self.unit)
+        self.canvas.image[top:bottom, left:right] = patch.image
+
+    def _draw_camera(self) -> None:
+        """A camera where A is in the picture, or else an arrow that points to it."""
+        unit, along = self.unit, self.away
+        across = np.array([-along[1], along[0]])
+
+        def placed(shape: list[tuple[float, float]]) -> Array:
+            return self.sight_end + unit * (np.array(shape) @ np.stack((across, along)))
+
+        arrow = placed([(0.0, 9.0), (5.0, -2.0), (-5.0, -2.0)])
+        lens, body = placed([(-5, -3), (5, -3), (2, 3), (-2, 3)]), placed([(-6, 2), (6, 2), (6, 12), (-6, 12)])
+        at_camera = np.hypot(*(self.sight_end - self._target)) > self._distance * self.view.scale - 1
+        for shape in (lens, body) if at_camera else (arrow,):
+            self.canvas.polygon(shape, rgb(SIGHT))
+
+
+def draw_words(scenery: Scenery, letters: Lettering) -> None:
+    """The names of things, and the colours of strain up to its limit."""
+    scene, view, unit = scenery.scene, scenery.view, scenery.unit
+    length, target = scene.tissue.length, scene.line_of_sight.target
+    below = view.bed + 17 * unit
+    letters.write(
+        "area of interest", view(((target[0] - length) / 2, 0.0))[0], below, SIGHT, 0.5, plate=GROUND
+    )
+    letters.write("B", view(target)[0], below, SIGHT, 0.5, plate=GROUND)
+    wall = view((0.0, scene.tissue.height / 2))
+    letters.write("fixed end", wall[0] + 14 * unit, wall[1], GREY, plate=GROUND)
+    end, away = scenery.sight_end, scenery.away
+    aside = np.array([away[1], -away[0]])  # below the line, where the flap comes from
+    at = end - 62 * unit * away - 11 * unit * aside
+    letters.write(
+        "camera A", at[0], at[1], SIGHT, 0.5, turn=math.degrees(math.atan2(away[1], -away[0]))
+    )
+    draw_scale(scenery, letters)
+
+
+def draw_scale(scenery: Scenery, letters: Lettering) -> None:
+    """The colours of strain, up to its limit, in the upper right corner."""
+    unit, limit, image = scenery.unit, scenery.scene.limits.strain, scenery.canvas.image
+    right, top = image.shape[1] - 44 * unit, 34 * unit
+    tall = 120 * unit
+    for i, colour in enumerate(STRAIN):
+        bottom = top + tall * (1 - i / len(STRAIN))
+        scenery.canvas.box(right - 12 * unit, bottom - tall / len(STRAIN) - 1, right, bottom, tuple(colour))
+    letters.write("strain", right - 6 * unit, top - 14 * unit, GREY, 0.5)
+    for share in (0.0, 0.5, 1.0):
+        letters.write(f"{share * limit:g}", right + 5 * unit, top + tall * (1 - share), GREY)
