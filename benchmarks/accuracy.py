@@ -1,137 +1,119 @@
 """Errors of coarse, medium and fine against converged values: python -m benchmarks.accuracy.
 
-reference.json holds the converged values of each case and how they were made: meshes of SEQUENCE, ever finer at
-the ends of the jaw patches, where stress is singular. Down to elements of 1/12 of the patch all values converge, the
-normal forces as the first power of that size, so these are extrapolated. Still finer meshes resolve creases that
-the surface of a soft solid folds into beside a sharp rigid edge: several equilibria exist, and values jump by
-about 1 % from mesh to mesh. The value from 1/12 is therefore quoted, and the finer meshes say how sure it is.
-
-`--converge` makes the reference anew, which takes long.
+Converged values, how they were made and how sure they are: _reference.py and reference.json. `--converge` makes
+them anew, which takes long.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import math
-import re
-import time
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext
-from dataclasses import asdict, dataclass
+from contextlib import AbstractContextManager
 from functools import partial
-from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from numpy.typing import NDArray
 
-from benchmarks._report import progress, table
-from planners import paths
-from retract_env import __version__
+from benchmarks._reference import CASES, METRICS, STORED, Array, Case, converge, errors, follow, store
+from benchmarks._report import machine, progress, table
 from retract_env.fem.model import FlapModel
 from retract_env.fem.solver import Diverged
-from retract_env.grasp import Grasp, JawPath
-from retract_env.mesh import RESOLUTIONS, Resolution
-from retract_env.physics.fem import FemPhysics
-from retract_env.scene import Scene, load_scene
+from retract_env.mesh import RESOLUTIONS
 
-Array = NDArray[np.float64]
-
-SCENES = Path(__file__).resolve().parents[1] / "configs" / "scenes"
-STORED = Path(__file__).with_name("reference.json")
-SQUEEZE = 4
-"""increments"""
-STATIONS = 9
-"""increments that the reference keeps, the squeezed flap and the last one among them"""
-SEQUENCE = tuple(Resolution(f"1/{n}", patch=12, edge=1 / n, growth=0.25, bulk=0.3) for n in (5, 8, 12, 20, 32, 50))
-QUOTED = 2
-"""of SEQUENCE; those up to it extrapolate the normal forces"""
 TARGETS = {"eps_max %": 2.0, "N %": 5.0, "shape %": 1.0}
 """of fine"""
 
 
-@dataclass(frozen=True)
-class Case:
-    scene: str
-    kind: str
-    x: float
-    """m"""
-    compression: float
-    """m"""
-    increments: int = 48
-
-    @property
-    def name(self) -> str:
-        return f"{self.scene} {self.kind} {1e3 * self.x:g} mm, {1e3 * self.compression:g} mm"
-
-    def load(self) -> tuple[Scene, JawPath]:
-        scene, grasp = load_scene(SCENES / f"{self.scene}.yaml"), Grasp(self.x, self.compression)
-        if self.kind.startswith("linear"):
-            return scene, paths.linear(scene, grasp, math.radians(float(self.kind.removeprefix("linear"))))
-        return scene, {"ctc": paths.ctc, "circular": paths.circular}[self.kind](scene, grasp)
+def _two_layers(depth: float, *_: object, **__: object) -> Array:
+    return np.array([0.0, depth / 4, depth / 2])
 
 
-CASES = (
-    Case("homogeneous", "ctc", -0.025, 0.0011),
-    Case("homogeneous_near", "ctc", -0.010, 0.0011),
-    Case("homogeneous_near", "circular", -0.020, 0.0011),
-    Case("homogeneous", "linear60", -0.030, 0.0011),
-    Case("ten_veins", "ctc", -0.03485, 0.000967),
-    Case("ten_veins", "circular", -0.0163, 0.0010),
-    Case("homogeneous_near", "ctc", -0.045, 0.0004),
-)
+FINER: dict[str, Callable[[], AbstractContextManager[Any]]] = {
+    "2 layers over the depth": lambda: patch("retract_env.fem.prism.depth_breaks", _two_layers),
+    "6 points in a triangle": lambda: patch(
+        "retract_env.physics.fem.FlapModel", partial(FlapModel, triangle_points=6)
+    ),
+}
+"""what fine leaves out"""
 
 
-@dataclass
-class Track:
-    """What is compared, increment by increment from the first of the squeeze."""
+def compare(references: Sequence[dict[str, Any]], names: Sequence[str]) -> None:
+    """Print the errors of each resolution and case, and those of fine against the targets."""
+    rows: list[tuple[object, ...]] = []
+    worst = dict.fromkeys(TARGETS, 0.0)
+    for stored in references:
+        case, reference = Case(**stored["case"]), stored["reference"]
+        progress(case.name)
+        for name in names:
+            track = follow(case, RESOLUTIONS[name], reference["progress"][-1])
+            found = errors(track, reference, case.length)
+            if name == "fine":
+                worst = {k: max(abs(found[k]), w) for k, w in worst.items()}
+            rows.append((case.name, name, track.unknowns, *_digits(found), f"{track.seconds:.1f}"))
+            if track.progress[-1] < reference["progress"][-1]:
+                print(f"{case.name}, {name}: diverged after progress {track.progress[-1]:g}")
+        rows.append((case.name, "not sure by", "", *_digits(stored["spread"]), ""))
+    print(table(("case", "mesh", "unknowns", *METRICS, "s"), rows))
+    if "fine" in names:
+        print("\nfine, worst: " + ", ".join(f"{k} {w:.2f} (target {TARGETS[k]:g})" for k, w in worst.items()))
 
-    progress: list[float]
-    strain: list[float]
-    normal: list[list[float]]
-    """N, of each jaw"""
-    friction: list[float]
-    shape: list[list[float]]
-    """m, both corners of the free end, x y x y, and the clearance"""
-    unknowns: int = 0
-    seconds: float = 0.0
 
-    def at(self, stations: Sequence[float]) -> dict[str, Array]:
-        rows = [self.progress.index(p) for p in stations]
-        return {k: np.array(v)[rows] for k, v in asdict(self).items() if isinstance(v, list)}
+def refine(references: Sequence[dict[str, Any]]) -> None:
+    """Print by how much fine changes with more layers and more quadrature points."""
+    rows: list[tuple[object, ...]] = []
+    for stored in references:
+        case, stations = Case(**stored["case"]), stored["reference"]["progress"]
+        progress(f"{case.name}, finer integration")
+        plain = follow(case, RESOLUTIONS["fine"], stations[-1])
+        base = {k: v.tolist() for k, v in plain.at(stations).items()} | {"max_strain": max(plain.strain)}
+        for name, changed in FINER.items():
+            with changed():
+                track = follow(case, RESOLUTIONS["fine"], stations[-1])
+            rows.append((case.name, name, track.unknowns, *_digits(errors(track, base, case.length))))
+    print("\n" + table(("case", "change of fine by", "unknowns", *METRICS), rows))
 
 
-def follow(case: Case, resolution: Resolution, end: float = math.inf) -> Track:
-    """Squeeze and move until `end` (progress), the last increment of the case, or the first broken limit.
+def _digits(found: dict[str, float]) -> list[str]:
+    return [f"{found[name]:.{3 if name == 'friction' else 2}f}" for name in METRICS]
 
-    Limits end it only where no `end` is given. A mesh on which the motion diverges gives what it reached.
-    """
-    start = time.perf_counter()
-    scene, path = case.load()
-    physics = FemPhysics(scene, case.x, resolution)
-    length, height = scene.tissue.length, scene.tissue.height
-    points = physics.section.points
-    corners = [int(np.argmin(np.hypot(*(points - c).T))) for c in ((-length, 0.0), (-length, height))]
-    track = Track([], [], [], [], [], len(physics.model.free))
-    steps = [*np.arange(1, SQUEEZE + 1) / SQUEEZE, *range(2, case.increments + 2)]
-    try:
-        physics.reset()
-        for at in (float(p) for p in steps if p <= min(end, path.last)):
-            state = physics.move_to(path.pose_at(at), at)
-            if at == 1:
-                physics.turn()
-            friction = float(state.required_friction.max())
-            broken = state.max_strain > scene.limits.strain or (at >= 1 and friction > scene.limits.friction)
-            if math.isinf(end) and broken:
-                break
-            track.progress.append(at)
-            track.strain.append(state.max_strain)
-            track.normal.append((-(state.reactions * state.normals).sum(axis=1)).tolist())
-            track.friction.append(friction)
-            track.shape.append([*state.points[corners].ravel().tolist(), state.clearance])
-    except Diverged:
-        pass
-    track.seconds = time.perf_counter() - start
-    return track
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument(
+        "--converge", action="store_true", help="make the reference anew, some minutes a case"
+    )
+    parser.add_argument(
+        "--cases", type=int, nargs="+", help=f"numbers from 0 to {len(CASES) - 1}; default: all"
+    )
+    parser.add_argument(
+        "--meshes", choices=list(RESOLUTIONS), nargs="+", default=["coarse", "medium", "fine"]
+    )
+    options = parser.parse_args(arguments)
+    chosen = range(len(CASES)) if options.cases is None else options.cases
+    if not set(chosen) <= set(range(len(CASES))):
+        parser.error(f"--cases: allowed 0 to {len(CASES) - 1}")
+    known: dict[Case, dict[str, Any]] = {}
+    if STORED.exists():
+        known = {Case(**c["case"]): c for c in json.loads(STORED.read_text("utf-8"))["cases"]}
+    print(machine())
+    for case in (CASES[i] for i in chosen):
+        if options.converge:
+            try:
+                known[case] = converge(case)
+            except Diverged as problem:
+                print(f"no reference: {problem}")
+            store([known[c] for c in CASES if c in known])
+        elif case not in known:
+            print(f"{case.name}: no reference, make it with --converge")
+        elif known[case]["scene_hash"] != case.load()[0].hash:
+            print(f"{case.name}: the scene has changed since its reference, make it anew with --converge")
+            del known[case]
+    references = [known[CASES[i]] for i in chosen if CASES[i] in known]
+    compare(references, options.meshes)
+    refine(references[:1] + [r for r in references if r["case"]["scene"] == "ten_veins"][:1])
+
+
+if __name__ == "__main__":
+    main()

@@ -60,7 +60,7 @@ class Certificate:
     """kind, and the progress in waypoints at the end"""
     history: dict[str, list[Any]]
     version: str = __version__
-    verification: dict[str, float] | None = None
+    verification: dict[str, Any] | None = None
     """the same on a finer mesh, and the differences; None unless asked for"""
     frames: tuple[TissueState, ...] = field(default=(), repr=False, compare=False)
     section: SectionMesh | None = field(default=None, repr=False, compare=False)
@@ -109,10 +109,10 @@ def _numbers(value: Any) -> Any:
 
 
 class Trial:
-    """One retraction under way: squeeze it, then move it. Both may be called from any thread, one at a time."""
+    """One retraction under way: squeeze it, then move it. From any thread, one call at a time."""
 
     def __init__(self, scene: Scene, grasp: Grasp, path: JawPath, resolution: str = "fine"):
-        """Raises ValueError for a grasp off the flap, a path that does not begin there, or an unknown resolution."""
+        """Raises ValueError for a grasp off the flap, a path that does not begin there, an unknown resolution."""
         if resolution not in RESOLUTIONS:
             raise ValueError(f"resolution = {resolution!r}, allowed {', '.join(RESOLUTIONS)}")
         grasp.check_inside(scene.tissue.length, scene.tissue.height)
@@ -222,7 +222,7 @@ class Trial:
         The trial ends on the first state seen to clear it, unless a limit breaks before.
         """
         seen = self.frames[-1]
-        # distances to the middle of what counts as on time; an end that stays is halved, lest it stay for good
+        # distances to the middle of what is on time; an end that stays is halved, lest it stay for good
         low, high = hidden.clearance - ON_TIME / 2, seen.clearance - ON_TIME / 2
         moved = ""
         for _ in range(MOST_TIMINGS):

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from retract_env.objectives import clearance
 from retract_env.palette import GREY, GROUND, HATCH, INK, LIMIT, SIGHT, VALUE, WHITE, rgb
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
     from retract_env.physics.base import TissueState
     from retract_env.raster import Canvas
     from retract_env.scene import Scene
+
+Array = NDArray[np.float64]
 
 STEPS = 64
 """Steps that a curve has room for; where there are more, it is squeezed together."""
@@ -41,9 +44,9 @@ class Gauge:
     limit_text: str
     wanted_above: bool = False
 
-    def share(self, value: float) -> float:
-        """How high a value stands, 0 to 1."""
-        return value if math.isnan(value) else min(max((value - self.low) / (self.high - self.low), 0.0), 1.0)
+    def share(self, value: ArrayLike) -> Array:
+        """How high values (...,) stand, 0 to 1."""
+        return np.clip((np.asarray(value, dtype=np.float64) - self.low) / (self.high - self.low), 0.0, 1.0)
 
     def colour(self, value: float) -> str:
         """Green where the goal is reached, orange where a limit is broken, blue otherwise."""
@@ -54,7 +57,7 @@ class Gauge:
 
 def needed_friction(state: TissueState) -> float:
     """The greater of the jaws' required friction; nan before the squeeze, when nothing is held yet."""
-    return float(np.max(state.required_friction)) if state.progress >= 1 else math.nan
+    return max(np.asarray(state.required_friction).tolist()) if state.progress >= 1 else math.nan
 
 
 def gauges_of(scene: Scene) -> tuple[Gauge, Gauge, Gauge]:
@@ -107,11 +110,11 @@ class Strip:
             letters.write(gauge.title, left, top - 12 * unit, GREY)
             canvas.box(*bar, rgb(GROUND))
             canvas.box(left, bottom - unit, right, bottom, rgb(HATCH))
-            level = bottom - gauge.share(gauge.limit) * (bottom - top)
+            level = bottom - float(gauge.share(gauge.limit)) * (bottom - top)
             colour = SIGHT if gauge.wanted_above else LIMIT
             for x in np.arange(left, right, 7 * unit):
                 canvas.stroke([(x, level), (min(x + 4 * unit, right), level)], rgb(colour), 1.3 * unit)
-            letters.write(gauge.limit_text, left, level + 8 * unit, colour)
+            letters.write(gauge.limit_text, left, level - 7 * unit, colour)
 
     def draw(self, canvas: Canvas, letters: Lettering, states: Sequence[TissueState]) -> None:
         """Curves of the states so far, at least one; bar and number of the last."""
@@ -120,7 +123,7 @@ class Strip:
         for gauge, plot, bar in zip(self.gauges, self.plots, self.bars, strict=True):
             left, top, right, bottom = plot
             values = [gauge.value(state) for state in states]
-            heights = bottom - np.array([gauge.share(v) for v in values]) * (bottom - top)
+            heights = bottom - gauge.share(values) * (bottom - top)
             curve = np.column_stack((left + steps * (right - left), heights))
             canvas.stroke(curve, rgb(VALUE), 2.0 * unit)
             if math.isnan(values[-1]):
@@ -128,6 +131,6 @@ class Strip:
             colour = gauge.colour(values[-1])
             canvas.stroke(curve[[-1, -1]], rgb(colour), 6.0 * unit)
             canvas.box(bar[0], float(heights[-1]), bar[2], bar[3], rgb(colour))
-            level = bottom - gauge.share(gauge.limit) * (bottom - top)
+            level = bottom - float(gauge.share(gauge.limit)) * (bottom - top)
             canvas.box(bar[0] - 2 * unit, level - unit, bar[2] + 2 * unit, level + unit, rgb(INK))
             letters.write(gauge.text(values[-1]), bar[2], top - 12 * unit, colour, align=1.0)

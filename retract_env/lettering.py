@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import pygame
 
-from retract_env.palette import INK, Bytes, rgb
+from retract_env.palette import INK, rgb
 
 FINER = 4
 """Letters are drawn so many times larger and shrunk: small ones are fitted to pixels and stand unevenly."""
 
 
 class Lettering:
-    """Writes on an image, and remembers what it has written: rendering text takes longer than copying it."""
+    """Writes on a surface, and remembers what it has written: rendering text takes longer than copying it."""
 
     KEPT = 512
 
-    def __init__(self, image: Bytes, size: float):
-        """image: (h, w, 3), written on in place; size: px, height of a line."""
+    def __init__(self, surface: pygame.Surface, size: float):
+        """surface: written on in place; size: px, height of a line."""
         pygame.font.init()
-        self._surface = pygame.image.frombuffer(image, image.shape[1::-1], "RGB")
+        self._surface = surface
         # pygame's own typeface: what a system has installed differs
         self._font = pygame.font.Font(None, round(size * FINER))
         self._known: dict[tuple[str, str, float], pygame.Surface] = {}
@@ -32,10 +32,10 @@ class Lettering:
         align: float = 0.0,
         plate: str | None = None,
         turn: float = 0.0,
-    ) -> None:
+    ) -> float:
         """Text with its middle at height y and x at its left (align 0), middle (0.5) or right (1).
 
-        plate: colour behind the text; turn: degrees counter-clockwise.
+        Returns its width, px. plate: colour behind the text; turn: degrees counter-clockwise.
         """
         if (text, colour, turn) not in self._known:
             if len(self._known) >= self.KEPT:
@@ -47,6 +47,7 @@ class Lettering:
         if plate is not None:
             self._surface.fill(rgb(plate), place.inflate(6, 2))
         self._surface.blit(drawn, place)
+        return float(width)
 
     def _render(self, text: str, colour: str, turn: float) -> pygame.Surface:
         large = self._font.render(text, True, rgb(colour))

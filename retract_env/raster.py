@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pygame
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
@@ -29,21 +30,29 @@ class Canvas:
     def __init__(self, image: Bytes):
         """image: (h, w, 3), contiguous; drawn on in place."""
         self.image = image
+        self.surface = pygame.image.frombuffer(memoryview(image), image.shape[1::-1], "RGB")
+        """The same pixels for pygame to draw on."""
         self._coverage: Floats32 = np.zeros(image.shape[:2], dtype=np.float32)
 
     def triangles(self, points: Array, faces: Ints, values: Array, colours: Bytes) -> None:
         """Shade faces (m, 3) of points (v, 2) by values (v,) in [0, 1], linear in between, from a table."""
         fill_triangles(self.image, points, faces, values, colours)
 
-    def stroke(self, points: ArrayLike, colour: Colour, width: float, opacity: float = 1.0) -> None:
+    def stroke(self, points: ArrayLike, colour: Colour, width: float) -> None:
         """Line through points (n, 2), width in px; it breaks at points that are not finite."""
         points = np.ascontiguousarray(points, dtype=np.float64)
-        _stroke(self.image, self._coverage, points, width, *colour, opacity)
+        _stroke(self.image, self._coverage, points, width, *colour)
 
-    def polygon(self, points: ArrayLike, colour: Colour, opacity: float = 1.0) -> None:
+    def polygon(self, points: ArrayLike, colour: Colour) -> None:
         """Convex polygon (n, 2), in either order."""
         points = np.ascontiguousarray(points, dtype=np.float64)
-        _convex(self.image, points, *colour, opacity)
+        _convex(self.image, points, *colour)
+
+    def region(self, points: Array, colour: Colour) -> None:
+        """Any polygon (n, 2); its border is not smooth."""
+        far = 4.0 * max(self.image.shape)  # SDL counts pixels in C's int
+        if len(points) > 2 and np.isfinite(points).all():
+            pygame.draw.polygon(self.surface, colour, np.clip(points, -far, far).tolist())
 
     def box(self, left: float, top: float, right: float, bottom: float, colour: Colour) -> None:
         """Upright rectangle, its sides rounded to whole pixels."""
@@ -54,13 +63,13 @@ class Canvas:
 @njit(cache=True, nogil=True, error_model="numpy")
 def _first(low: float) -> int:
     """First row or column, from 0, whose centre is not before `low`."""
-    return int(math.ceil(min(max(low - 0.5, 0.0), 1e6)))
+    return math.ceil(min(max(low - 0.5, 0.0), 1e6))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _last(high: float, count: int) -> int:
     """Last row or column of `count` whose centre is not beyond `high`; -1 for none."""
-    return int(math.floor(max(min(high - 0.5, count - 1.0), -1.0)))
+    return math.floor(max(min(high - 0.5, count - 1.0), -1.0))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -68,37 +77,39 @@ def fill_triangles(image: Bytes, points: Array, faces: Ints, values: Array, colo
     """See Canvas.triangles. A row's pixels lie where all three edges have it on their inner side."""
     height, width = image.shape[0], image.shape[1]
     size = len(colours)
+    at, per_row = np.empty(3), np.empty(3)  # where each edge crosses y = 0, and how that moves down the rows
     for f in range(len(faces)):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        ax, ay = points[a]
-        bx, by = points[b]
-        cx, cy = points[c]
+        ax, ay = points[a, 0], points[a, 1]
+        bx, by = points[b, 0], points[b, 1]
+        cx, cy = points[c, 0], points[c, 1]
         area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
         if not 1e-12 < abs(area) < 1e18:  # degenerate or not finite
             continue
-        rise_x = ((values[b] - values[a]) * (cy - ay) - (values[c] - values[a]) * (by - ay)) / area
-        rise_y = ((values[c] - values[a]) * (bx - ax) - (values[b] - values[a]) * (cx - ax)) / area
-        side = 1.0 if area > 0 else -1.0
+        first, last = _first(min(ay, by, cy)), _last(max(ay, by, cy), height)
         low_x, high_x = min(ax, bx, cx), max(ax, bx, cx)
-        for row in range(_first(min(ay, by, cy)), _last(max(ay, by, cy), height) + 1):
+        if first > last or high_x < 0.0 or low_x > width:
+            continue
+        rises = (by - ay, cy - by, ay - cy)
+        runs, starts = (bx - ax, cx - bx, ax - cx), ((ax, ay), (bx, by), (cx, cy))
+        for edge in range(3):
+            if rises[edge] != 0.0:
+                per_row[edge] = runs[edge] / rises[edge]
+                at[edge] = starts[edge][0] - starts[edge][1] * per_row[edge]
+        across = ((values[b] - values[a]) * (cy - ay) - (values[c] - values[a]) * (by - ay)) / area * size
+        down = ((values[c] - values[a]) * (bx - ax) - (values[b] - values[a]) * (cx - ax)) / area * size
+        for row in range(first, last + 1):
             y = row + 0.5
             low, high = low_x, high_x
             for edge in range(3):
-                if edge == 0:
-                    px, py, qx, qy = ax, ay, bx, by
-                elif edge == 1:
-                    px, py, qx, qy = bx, by, cx, cy
-                else:
-                    px, py, qx, qy = cx, cy, ax, ay
-                slope = -(qy - py) * side
-                start = ((qx - px) * (y - py) + (qy - py) * px) * side
-                if slope > 0:
-                    low = max(low, -start / slope)
-                elif slope < 0:
-                    high = min(high, -start / slope)
+                if rises[edge] * area < 0.0:  # the inner side is to the right
+                    low = max(low, at[edge] + y * per_row[edge])
+                elif rises[edge] != 0.0:
+                    high = min(high, at[edge] + y * per_row[edge])
+            begin = values[a] * size + down * (y - ay) + across * (0.5 - ax)
             for column in range(_first(low - EDGE), _last(high + EDGE, width) + 1):
-                value = values[a] + rise_x * (column + 0.5 - ax) + rise_y * (y - ay)
-                index = int(min(max(value * size, 0.0), size - 1.0)) if value == value else 0
+                value = begin + across * column
+                index = int(min(max(value, 0.0), size - 1.0)) if value == value else 0
                 image[row, column, 0] = colours[index, 0]
                 image[row, column, 1] = colours[index, 1]
                 image[row, column, 2] = colours[index, 2]
@@ -113,7 +124,7 @@ def _blend(pixel: Bytes, red: int, green: int, blue: int, share: float) -> None:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _stroke(
-    image: Bytes, coverage: Floats32, points: Array, width: float, red: int, green: int, blue: int, opacity: float
+    image: Bytes, coverage: Floats32, points: Array, width: float, red: int, green: int, blue: int
 ) -> None:
     """See Canvas.stroke. A pixel counts once, by the nearest segment: the first pass collects, the second
     paints and leaves `coverage` (h, w) at zero again."""
@@ -139,7 +150,7 @@ def _stroke(
                     if painting:
                         share = coverage[row, column]
                         if share > 0.0:
-                            _blend(image[row, column], red, green, blue, share * opacity)
+                            _blend(image[row, column], red, green, blue, share)
                             coverage[row, column] = 0.0
                     else:
                         along = min(max(x * ux + y * uy, 0.0), length)
@@ -149,28 +160,49 @@ def _stroke(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _convex(image: Bytes, points: Array, red: int, green: int, blue: int, opacity: float) -> None:
+def _convex(image: Bytes, points: Array, red: int, green: int, blue: int) -> None:
     """See Canvas.polygon. Coverage from the distance to the nearest side, half a pixel on either side."""
     count = len(points)
-    area = 0.0
+    sides = np.zeros((count, 3))  # distance from a side's line, inwards: sides @ (x, y, 1)
+    area, found = 0.0, 0
     for i in range(count):
-        j = (i + 1) % count
-        area += points[i, 0] * points[j, 1] - points[j, 0] * points[i, 1]
+        ax, ay = points[i, 0], points[i, 1]
+        bx, by = points[(i + 1) % count, 0], points[(i + 1) % count, 1]
+        area += ax * by - bx * ay
+        length = math.sqrt((bx - ax) ** 2 + (by - ay) ** 2)
+        if length > 0.0:
+            sides[found] = (ay - by) / length, (bx - ax) / length, (ax * by - bx * ay) / length
+            found += 1
     if not 1e-12 < abs(area) < 1e18:
         return
-    side = 1.0 if area > 0 else -1.0
+    if area < 0.0:
+        sides *= -1.0
     left, right = points[:, 0].min() - 0.5, points[:, 0].max() + 0.5
     top, bottom = points[:, 1].min() - 0.5, points[:, 1].max() + 0.5
     for row in range(_first(top), _last(bottom, image.shape[0]) + 1):
         for column in range(_first(left), _last(right, image.shape[1]) + 1):
-            x, y = column + 0.5, row + 0.5
             inside = 1.0
-            for i in range(count):
-                j = (i + 1) % count
-                dx, dy = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]
-                length = math.sqrt(dx * dx + dy * dy)
-                if length > 0:
-                    away = side * (dx * (y - points[i, 1]) - dy * (x - points[i, 0])) / length
-                    inside = min(inside, away + 0.5)
+            for i in range(found):
+                away = sides[i, 0] * (column + 0.5) + sides[i, 1] * (row + 0.5) + sides[i, 2]
+                inside = min(inside, away + 0.5)
             if inside > 0.0:
-                _blend(image[row, column], red, green, blue, inside * opacity)
+                _blend(image[row, column], red, green, blue, inside)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def shrunk(image: Bytes, times: int) -> Bytes:
+    """Means over times x times pixels: (times h, times w, 3) to (h, w, 3)."""
+    height, width = image.shape[0] // times, image.shape[1] // times
+    small = np.empty((height, width, 3), dtype=np.uint8)
+    sums = np.empty((width, 3), dtype=np.int64)
+    for row in range(height):
+        sums[:] = times * times // 2
+        for i in range(row * times, (row + 1) * times):
+            for column in range(width):
+                for j in range(column * times, (column + 1) * times):
+                    for k in range(3):
+                        sums[column, k] += image[i, j, k]
+        for column in range(width):
+            for k in range(3):
+                small[row, column, k] = sums[column, k] // (times * times)
+    return small

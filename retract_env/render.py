@@ -13,8 +13,9 @@ import numpy as np
 from retract_env.gauges import Strip
 from retract_env.lettering import Lettering
 from retract_env.palette import HIDDEN, INK, STEEL, STRAIN, VEIN_EDGE, WHITE, Bytes, rgb
+from retract_env.raster import shrunk
 from retract_env.scenery import Scenery, draw_words, view_of
-from retract_env.shapes import JawShapes, SectionTopology, broken, seen_spans, shadows
+from retract_env.shapes import JawShapes, SectionTopology, bed_hits, broken, hidden_region, seen_spans
 from retract_env.window import Window
 
 if TYPE_CHECKING:
@@ -33,7 +34,7 @@ LEAST = 160
 FINER = 3
 """Pixels of the small picture are means over as many, squared."""
 SMALL_RIGHT, SMALL_BED = 0.2, 0.07
-"""What the small picture shows behind the fixed end over the flap's length, and of the bed over its height."""
+"""What the small picture shows behind the fixed end, over the flap's length, and of the bed, over its height."""
 
 
 class SectionRenderer:
@@ -44,7 +45,8 @@ class SectionRenderer:
         if min(size) < LEAST:
             raise ValueError(f"size = {tuple(size)} px, allowed {LEAST} and more either way")
         self.scene, self.size = scene, size
-        self._topology, self._jaws = SectionTopology(section), JawShapes(scene)
+        self._topology = SectionTopology(section)
+        self._jaws, self._bold_jaws = JawShapes(scene), JawShapes(scene, bold=2.0)
         self._frame: tuple[Scenery, Strip, Lettering] | None = None
         self._small: dict[tuple[int, int], Scenery] = {}
 
@@ -56,7 +58,7 @@ class SectionRenderer:
         if self._frame is None:
             self._frame = self._new_frame()
         scenery, strip, letters = self._frame
-        self._paint(scenery, state)
+        self._paint(scenery, state, self._jaws)
         ends_with_state = len(history) > 0 and history[-1] is state
         strip.draw(scenery.canvas, letters, history if ends_with_state else [*history, state])
         return scenery.canvas.image.copy()
@@ -67,10 +69,12 @@ class SectionRenderer:
             width, height = size[0] * FINER, size[1] * FINER
             ground = round(SMALL_BED * height)
             view = view_of(self.scene, width, height - ground, SMALL_RIGHT)
-            self._small[size] = Scenery(self.scene, view, (width, height), ground, unit=0.75 * FINER)
+            self._small[size] = Scenery(
+                self.scene, view, (width, height), ground, unit=0.65 * FINER, hatched=False
+            )
         scenery = self._small[size]
-        self._paint(scenery, state)
-        return _shrunk(scenery.canvas.image, FINER)
+        self._paint(scenery, state, self._bold_jaws)
+        return shrunk(scenery.canvas.image, FINER)
 
     def close(self) -> None:
         """Give back the memory that is drawn on; drawing again takes it anew."""
@@ -84,38 +88,32 @@ class SectionRenderer:
         scenery = Scenery(
             self.scene, view_of(self.scene, width, strip_top - ground), (width, height), ground, unit
         )
-        letters = Lettering(scenery.canvas.image, LETTERS * unit)
+        letters = Lettering(scenery.canvas.surface, LETTERS * unit)
         strip = Strip(self.scene, (0, strip_top, width, height), unit)
         draw_words(scenery, letters)
         strip.draw_behind(scenery.canvas, letters)
         scenery.keep()
         return scenery, strip, letters
 
-    def _paint(self, scenery: Scenery, state: TissueState) -> None:
+    def _paint(self, scenery: Scenery, state: TissueState, jaws: JawShapes) -> None:
         topology, view, canvas, unit = self._topology, scenery.view, scenery.canvas, scenery.unit
         scenery.begin()
         points = np.asarray(state.points, dtype=np.float64)
         outline, sight = points[topology.outline], self.scene.line_of_sight
-        corners, faces = shadows(outline, sight.camera)
-        shade = np.array([rgb(HIDDEN)], dtype=np.uint8)
-        canvas.triangles(view(corners), faces, np.zeros(len(corners)), shade)
+        hits = bed_hits(outline, sight.camera)
+        shade = view(hidden_region(outline, hits))
+        canvas.region(shade, rgb(HIDDEN))
+        canvas.stroke(shade[-2:], rgb(HIDDEN), 1.5 * unit)
         pixels = view(points)
         share = topology.smooth(state.strain) / self.scene.limits.strain
         canvas.triangles(pixels[topology.nodes], topology.faces, share, STRAIN)
         canvas.stroke(broken(pixels[topology.vein_edges]), rgb(VEIN_EDGE), 1.1 * unit)
         canvas.stroke(pixels[topology.outline], rgb(INK), 1.5 * unit)
-        pads, fingers = self._jaws.at(state.jaws)
+        pads, fingers = jaws.at(state.jaws)
         for shapes, colour in ((fingers, STEEL), (pads, INK)):
             for shape in shapes:
                 placed = view(shape)
                 canvas.polygon(placed, rgb(colour))
-                canvas.stroke(np.vstack((placed, placed[:1])), rgb(WHITE), 0.7 * unit)
-        scenery.cover(seen_spans(outline, sight.camera, -self.scene.tissue.length, sight.target[0]))
-
-
-def _shrunk(image: Bytes, times: int) -> Bytes:
-    """Means over times x times pixels: (times h, times w, 3) to (h, w, 3)."""
-    h, w = image.shape[0] // times, image.shape[1] // times
-    sums = np.add.reduce(image.reshape(h, times, w * times, 3), axis=1, dtype=np.uint16)
-    sums = np.add.reduce(sums.reshape(h, w, times, 3), axis=2, dtype=np.uint16)
-    return ((sums + times * times // 2) // (times * times)).astype(np.uint8)
+                if jaws is self._jaws:
+                    canvas.stroke(np.vstack((placed, placed[:1])), rgb(WHITE), 0.7 * unit)
+        scenery.cover(seen_spans(hits, -self.scene.tissue.length, sight.target[0]))

@@ -35,10 +35,10 @@ class View:
 
     def __call__(self, points: ArrayLike) -> Array:
         """Pixels (..., 2), x to the right and y down, of points (..., 2) m."""
-        points = np.asarray(points, dtype=np.float64)
-        return np.stack(
-            ((points[..., 0] - self.left) * self.scale, self.bed - points[..., 1] * self.scale), axis=-1
-        )
+        scale = self.scale
+        placed: Array = np.asarray(points, dtype=np.float64) * (scale, -scale)
+        placed += (-self.left * scale, self.bed)
+        return placed
 
 
 def view_of(scene: Scene, width: int, bed: int, right: float = RIGHT) -> View:
@@ -48,18 +48,20 @@ def view_of(scene: Scene, width: int, bed: int, right: float = RIGHT) -> View:
 
 
 class Scenery:
-    """A picture that states are drawn on: what lies behind the flap is drawn once, what lies over it each time."""
+    """A picture that states are drawn on: what lies behind the flap is drawn once, what lies over it anew."""
 
-    def __init__(self, scene: Scene, view: View, size: tuple[int, int], ground: int, unit: float):
-        """size: px; ground: px, rows of bed below the view's; unit: px, width of a thin line."""
-        self.scene, self.view, self.unit, self._ground = scene, view, unit, ground
+    def __init__(
+        self, scene: Scene, view: View, size: tuple[int, int], ground: int, unit: float, hatched: bool = True
+    ):
+        """size: px; ground: px, how much of the bed is drawn; unit: px, width of a thin line."""
+        self.scene, self.view, self.unit, self._ground, self._hatched = scene, view, unit, ground, hatched
         self.canvas = Canvas(np.empty((size[1], size[0], 3), dtype=np.uint8))
         target = np.array(scene.line_of_sight.target)
         climb = np.array(scene.line_of_sight.camera) - target
         self._distance = float(np.hypot(*climb))
         self.away: Array = climb / self._distance * (1, -1)  # from B to A, on the picture
         self._target = view(target)
-        self.sight_end: Array = self._target + self.away * self._visible_length(size[0])
+        self.sight_end: Array = self._target + self.away * self._visible_length()
         self._draw_behind()
         self._still: Bytes = self.canvas.image.copy()
 
@@ -72,7 +74,7 @@ class Scenery:
         np.copyto(self.canvas.image, self._still)
 
     def cover(self, seen: Array) -> None:
-        """Draw what lies over the flap. seen: (s, 2) m, parts of the area of interest that the camera sees."""
+        """Draw what lies over the flap. seen: (s, 2) m, what the camera sees of the area of interest."""
         canvas, view, unit, sight = self.canvas, self.view, self.unit, rgb(SIGHT)
         canvas.image[view.bed :] = self._still[view.bed :]
         length, target = self.scene.tissue.length, self.scene.line_of_sight.target
@@ -88,7 +90,7 @@ class Scenery:
         for colour, radius in ((WHITE, 5.2 * unit), (SIGHT, 4.0 * unit)):
             canvas.stroke([self._target, self._target], rgb(colour), 2 * radius)
 
-    def _visible_length(self, width: int) -> float:
+    def _visible_length(self) -> float:
         """px from B along AB to the camera or to where the picture ends."""
         inside = 12 * self.unit
         room = [self._distance * self.view.scale, (self._target[1] - inside) / -self.away[1]]
@@ -116,7 +118,7 @@ class Scenery:
         step = 7 * self.unit
         # strokes of both boxes lie on the same lines
         start = math.floor((left - tall - bottom) / step) * step + bottom - left
-        for x in np.arange(start, right - left, step):
+        for x in np.arange(start, right - left, step) if self._hatched else ():
             patch.stroke([(x, tall), (x + tall, 0)], rgb(HATCH), 0.7 * self.unit)
         self.canvas.image[top:bottom, left:right] = patch.image
 
@@ -129,7 +131,8 @@ class Scenery:
             return self.sight_end + unit * (np.array(shape) @ np.stack((across, along)))
 
         arrow = placed([(0.0, 9.0), (5.0, -2.0), (-5.0, -2.0)])
-        lens, body = placed([(-5, -3), (5, -3), (2, 3), (-2, 3)]), placed([(-6, 2), (6, 2), (6, 12), (-6, 12)])
+        lens = placed([(-5.0, -3.0), (5.0, -3.0), (2.0, 3.0), (-2.0, 3.0)])
+        body = placed([(-6.0, 2.0), (6.0, 2.0), (6.0, 12.0), (-6.0, 12.0)])
         at_camera = np.hypot(*(self.sight_end - self._target)) > self._distance * self.view.scale - 1
         for shape in (lens, body) if at_camera else (arrow,):
             self.canvas.polygon(shape, rgb(SIGHT))
@@ -140,18 +143,16 @@ def draw_words(scenery: Scenery, letters: Lettering) -> None:
     scene, view, unit = scenery.scene, scenery.view, scenery.unit
     length, target = scene.tissue.length, scene.line_of_sight.target
     below = view.bed + 17 * unit
-    letters.write(
-        "area of interest", view(((target[0] - length) / 2, 0.0))[0], below, SIGHT, 0.5, plate=GROUND
-    )
+    at = view((-length, 0.0))[0] + 4 * unit
+    for word, colour in (("area of interest", GREY), ("in view", SIGHT), ("hidden", LIMIT)):
+        at += letters.write(word, at, below, colour, plate=GROUND) + 12 * unit
     letters.write("B", view(target)[0], below, SIGHT, 0.5, plate=GROUND)
     wall = view((0.0, scene.tissue.height / 2))
     letters.write("fixed end", wall[0] + 14 * unit, wall[1], GREY, plate=GROUND)
     end, away = scenery.sight_end, scenery.away
     aside = np.array([away[1], -away[0]])  # below the line, where the flap comes from
-    at = end - 62 * unit * away - 11 * unit * aside
-    letters.write(
-        "camera A", at[0], at[1], SIGHT, 0.5, turn=math.degrees(math.atan2(away[1], -away[0]))
-    )
+    x, y = end - 62 * unit * away - 11 * unit * aside
+    letters.write("camera A", x, y, SIGHT, 0.5, turn=math.degrees(math.atan2(away[1], -away[0])))
     draw_scale(scenery, letters)
 
 

@@ -71,7 +71,7 @@ def broken(lines: Array) -> Array:
 def bed_hits(points: ArrayLike, camera: ArrayLike) -> Array:
     """(n,) m, where the rays from the camera (2,) through points (n, 2) meet the bed y = 0.
 
-    Infinite for points that are not below the camera, on the side where the point is.
+    Infinite, on the side where the point is, for points that are not below the camera.
     """
     points, (ax, ay) = np.asarray(points, dtype=np.float64), np.asarray(camera, dtype=np.float64)
     drop = ay - points[:, 1]
@@ -80,26 +80,24 @@ def bed_hits(points: ArrayLike, camera: ArrayLike) -> Array:
     return np.where(below, ax + aside * ay / np.where(below, drop, 1.0), np.copysign(np.inf, aside))
 
 
-def shadows(outline: Array, camera: ArrayLike) -> tuple[Array, Ints]:
-    """What the flap hides from the camera down to the bed, up to the fixed end x = 0: one quadrilateral per
-    edge of the outline (k, 2).
+def hidden_region(outline: Array, hits: Array) -> Array:
+    """(r, 2) m, polygon that the flap hides from the camera: under the flap, down to the bed.
 
-    Returns points (2 k, 2) m and faces (2 (k - 1), 3).
+    outline: (k, 2) from the foot of the fixed end along the lower surface and round; hits: (k,) its
+    `bed_hits`. The polygon ends at the first ray, from the camera's side, that does not get past the flap.
     """
-    feet = np.column_stack((np.minimum(bed_hits(outline, camera), 0.0), np.zeros(len(outline))))
-    # rays that come down beyond the fixed end hide nothing of the bed
-    tops = np.where((feet[:, :1] < 0) & (outline[:, 1:] > 0), outline, feet)
-    here, count = np.arange(len(outline) - 1), len(outline)
-    upper = np.column_stack((here, here + 1, here + count))
-    lower = np.column_stack((here + 1, here + count, here + count + 1))
-    return np.vstack((tops, feet)), np.vstack((upper, lower))
+    first = int(np.argmin(np.where(np.isfinite(hits), hits, np.inf)))
+    return np.vstack((outline[: first + 1], [(hits[first], 0.0)]))
 
 
-def seen_spans(outline: Array, camera: ArrayLike, near: float, far: float) -> Array:
-    """(s, 2) m, the parts of the bed from x = near to far that the camera sees past the outline (k, 2)."""
-    hits = np.clip(bed_hits(outline, camera), near, far)
-    begins, ends = np.minimum(hits[:-1], hits[1:]), np.maximum(hits[:-1], hits[1:])
-    above = outline[:, 1] >= np.asarray(camera)[1]
+def seen_spans(hits: Array, near: float, far: float) -> Array:
+    """(s, 2) m, the parts of the bed from x = near to far that the camera sees past an outline.
+
+    hits: (k,) `bed_hits` of the outline, each edge of which hides what lies between its two.
+    """
+    clipped = np.clip(hits, near, far)
+    begins, ends = np.minimum(clipped[:-1], clipped[1:]), np.maximum(clipped[:-1], clipped[1:])
+    above = np.isinf(hits)
     ends = np.where(above[:-1] & above[1:], begins, ends)  # such an edge hides nothing, wherever it is
     order = np.argsort(begins)
     hidden_to = np.maximum.accumulate(np.concatenate(([near], ends[order])))
@@ -111,9 +109,10 @@ def seen_spans(outline: Array, camera: ArrayLike, near: float, far: float) -> Ar
 class JawShapes:
     """Two rounded pads outside the tissue, as wide as a jaw patch, and the gripper's fingers behind them."""
 
-    def __init__(self, scene: Scene) -> None:
-        length, half = scene.tissue.length, scene.jaws.width / 2
-        thick, reach = PAD * length, FINGER * length
+    def __init__(self, scene: Scene, bold: float = 1.0) -> None:
+        """bold: how many times as thick as they are."""
+        length, half = scene.tissue.length, bold * scene.jaws.width / 2
+        thick, reach = bold * PAD * length, FINGER * length
         radius = 0.7 * min(half, thick)
         turn = np.linspace(0.0, np.pi / 2, 5)[:, None]
         corner = radius * np.hstack((np.cos(turn), np.sin(turn))) + (half - radius, thick - radius)

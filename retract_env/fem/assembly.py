@@ -47,7 +47,8 @@ class Assembly:
         keys = []
         for block in self.blocks:
             rows, cols = block_triangle(block.gxy.shape[3], block.gz.shape[3])
-            numbered = np.where(block.weight.any(axis=1)[:, None, :], number[block.dofs], -1)
+            filled = np.any(block.weight, axis=1, keepdims=True)
+            numbered = np.where(filled, number[block.dofs], -1)
             keys.append(_keys(numbered, rows, cols, len(self.free)))
         flat = np.sort(np.concatenate([k.ravel() for k in keys]))
         fresh = np.ones(len(flat), bool)

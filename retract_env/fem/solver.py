@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from retract_env.fem.linear import Factor, NotPositiveDefinite, cholesky
 from retract_env.fem.model import FlapModel
 from retract_env.objectives import WORST_FRACTION
+from retract_env.physics.base import Diverged as Diverged
 
 Array = NDArray[np.float64]
 
@@ -18,10 +19,6 @@ STRAIN_TOLERANCE = 3e-5
 volume."""
 SLOW = 0.3
 """Factorise anew once an iteration shrinks the residual by less than this."""
-
-
-class Diverged(ArithmeticError):
-    """No equilibrium was found."""
 
 
 class Equilibrium:

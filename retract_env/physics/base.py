@@ -10,6 +10,10 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
+class Diverged(ArithmeticError):
+    """No equilibrium was found."""
+
+
 @dataclass(frozen=True)
 class TissueState:
     """The flap in equilibrium with one pose of the jaws.

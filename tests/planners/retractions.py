@@ -26,7 +26,7 @@ def box(left: float, right: float, low: float, high: float, modulus: float = 200
 
 
 def a_scene(strain: float = 0.5, friction: float = 5.0, target: float = 0.25, **changes: Any) -> Scene:
-    """The paper's flap with changes, B at `target` of its length; as rough jaws as may be if not said otherwise."""
+    """The paper's flap with changes, B at `target` of its length; the jaws as rough as may be."""
     line = LineOfSight.at(-target * LENGTH, math.pi / 4)
     limits = Limits(strain=strain, friction=friction)
     return flap(**changes).model_copy(update={"limits": limits, "line_of_sight": line})

@@ -1,4 +1,4 @@
-"""The certificate as a document: its names, its hash, its round trip, a finer mesh's word, and what is refused."""
+"""The certificate as a document: names, hash, round trip, a finer mesh's word, and what is refused."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import json
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -56,7 +57,7 @@ def sealed(data: dict[str, Any]) -> str:
 @every_certificate
 def test_the_file_has_the_stable_names_and_strict_json(made: Callable[[], Certificate]) -> None:
     data = made().to_json()
-    assert STABLE_NAMES <= set(data)
+    assert set(data) >= STABLE_NAMES
     assert {"nodes", "elements"} <= set(data["mesh"])
     assert set(data["grasp"]) == {"x", "compression"}
     assert data["reason"] in REASONS
@@ -96,7 +97,7 @@ def test_what_was_simulated_is_named() -> None:
     assert certificate.path["kind"] == "ctc"
     assert certificate.mesh["resolution"] == "coarse"
     assert certificate.section is not None
-    # one quadratic layer of wedges over the half depth: two levels of nodes beside the plane of symmetry's mirror
+    # one quadratic layer of wedges over the half depth: two levels of nodes
     assert certificate.mesh["elements"] == len(certificate.section.triangles)
     assert certificate.mesh["nodes"] == 2 * len(certificate.section.points)
 
@@ -156,9 +157,10 @@ def test_verification_reports_the_differences_to_the_finer_mesh() -> None:
     plain, finer = retraction(scene), certify(scene, grasp, path, "medium")
     word = certificate.verification
     assert word is not None
-    assert (word["resolution"], word["nodes"], word["reason"]) == ("medium", finer.mesh["nodes"], finer.reason)
+    assert word["resolution"] == "medium"
+    assert (word["nodes"], word["reason"]) == (finer.mesh["nodes"], finer.reason)
     assert word["max_strain"] == finer.max_strain
-    assert (1 + word["max_strain_difference"]) * finer.max_strain == pytest.approx(plain.max_strain, rel=1e-12)
+    assert word["max_strain_difference"] == pytest.approx(plain.max_strain / finer.max_strain - 1, rel=1e-12)
     assert word["required_friction_difference"] == plain.required_friction - finer.required_friction
     assert word["end_difference"] == plain.path["end"] - finer.path["end"]
     assert 0 < abs(word["max_strain_difference"]) < 0.06  # the coarse mesh's stated error
@@ -198,7 +200,8 @@ def test_a_finer_mesh_that_fails_is_reported_too(monkeypatch: pytest.MonkeyPatch
 def test_a_grasp_off_the_flap_is_refused() -> None:
     scene = a_scene()
     for x in (-LENGTH - 1e-3, -0.0004, -1e-9):
-        message = one_line(lambda x=x: certify(scene, Grasp(x, 1e-3), poses(Grasp(x, 1e-3)), "coarse"))
+        grasp = Grasp(x, 1e-3)
+        message = one_line(partial(certify, scene, grasp, poses(grasp), "coarse"))
         assert message.startswith(f"grasp.x = {x:g} m, allowed [-0.05, ")
     thick = Grasp(-0.025, HEIGHT)
     path = ctc(scene, a_grasp())

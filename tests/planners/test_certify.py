@@ -103,7 +103,7 @@ def test_every_reason_says_what_happened_last(name: str) -> None:
 
 
 def check_consistent(certificate: Certificate) -> None:
-    """Histories are those of the frames, finite but for the friction of a pulling jaw, and lead to the summary."""
+    """Histories are the frames', finite but for the friction of a pulling jaw, and lead to the summary."""
     frames, history = certificate.frames, certificate.history
     assert {len(values) for values in history.values()} == {certificate.increments + 1} == {len(frames)}
     for name, values in history.items():
@@ -253,7 +253,7 @@ SURFACES = {
 
 @pytest.mark.parametrize("name", SURFACES)
 def test_veins_may_share_the_flaps_surface(name: str) -> None:
-    """Stiffer somewhere and softer nowhere: the jaws press harder than on tissue alone, less hard than on vein alone."""
+    """Stiffer somewhere, softer nowhere: jaws press harder than on tissue alone, less than on vein alone."""
     grasp = a_grasp(part=0.15)
     certificate = retraction(a_scene(veins=[SURFACES[name]]), grasp)
     assert certificate.certified
@@ -281,12 +281,12 @@ def test_a_deep_flap_is_squeezed_in_layers_and_seen_at_every_depth() -> None:
     deep, narrow = retraction(scene, grasp), retraction(a_scene(), grasp)
     assert deep.certified
     assert deep.section is not None
-    # two quadratic layers over half the depth, and the narrow flap's one, whose middle is the plane of symmetry
+    # two quadratic layers over half the depth, of which the narrow flap has the first
     assert deep.mesh["nodes"] == 4 * len(deep.section.points) == 2 * narrow.mesh["nodes"]
     line = scene.line_of_sight
     middle = objectives.clearance(deep.frames[-1].points, line.camera, line.target)
     assert 0 <= deep.clearance <= ON_TIME < middle
-    # tissue beside the jaws bears part of the squeeze: more force than on 5 mm of a narrow flap, less than on 10
+    # tissue beside the jaws bears part of the squeeze: more force than on 5 mm of narrow flap, less than on 10
     wide, each = (c.frames[SQUEEZE_INCREMENTS].reactions[1, 1] for c in (deep, narrow))
     assert 0.005 / HEIGHT < wide / each < 0.010 / HEIGHT
 
@@ -318,7 +318,7 @@ def test_the_hardest_ctc_case_has_its_converged_strain() -> None:
 
 
 def test_the_lightest_grip_that_holds() -> None:
-    """At 8 % compression the strain of the paper's best retraction falls from .279 to .105, at the friction limit."""
+    """At 8 % compression, not 25, strain falls from .279 to .105, just within the friction limit."""
     certificate = retraction(a_scene(friction=0.5), a_grasp(-0.035, part=0.08))
     assert certificate.certified
     assert certificate.max_strain == pytest.approx(0.105, rel=COARSE)

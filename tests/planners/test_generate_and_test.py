@@ -33,7 +33,7 @@ PROMPTLY = 5.0
 
 def proposals(scene: Scene, increments: int = 12) -> Proposals:
     """Light and firm grips near and far, a slipping one, and one twice."""
-    places = [(-0.035, 0.25), (-0.011, 0.25), (-0.030, 0.15), (-0.045, 0.20), (-0.020, 0.14), (-0.030, 0.15)]
+    places = [(-0.035, 0.20), (-0.030, 0.15), (-0.011, 0.25), (-0.020, 0.14), (-0.030, 0.15)]
     grasps = [a_grasp(x, part) for x, part in places]
     return [(grasp, ctc(scene, grasp, increments)) for grasp in grasps]
 
@@ -78,7 +78,7 @@ def test_the_winner_depends_neither_on_pruning_nor_on_threads(name: str, pruning
     assert plan.certificate.to_json() == reference.certificate.to_json()
     assert (plan.grasp, plan.path) == (reference.grasp, reference.path)
     chosen = plan.candidates[[c.grasp for c in plan.candidates].index(plan.grasp)]
-    assert chosen.index == 2  # of the equal two, the earlier
+    assert chosen.index == 1  # of the equal two, the earlier
     assert chosen.reason == "ok"
     # what was dropped could not have won, and the rest ended as without pruning
     for candidate, whole in zip(plan.candidates, reference.candidates, strict=True):
@@ -110,17 +110,17 @@ def test_pruning_saves_increments_and_squeezing_first_most(name: str) -> None:
 def test_without_a_certified_candidate_all_are_counted() -> None:
     scene = a_scene(friction=0.05)
     for pruning in PRUNING:
-        with pytest.raises(NoPlan, match="^6 candidates: 6 slip$") as error:
+        with pytest.raises(NoPlan, match=r"^5 candidates: 5 slip$") as error:
             generate_and_test(scene, proposals(scene), "test", "coarse", 1, pruning=pruning)
         assert {candidate.status for candidate in error.value.candidates} == {"done"}
     strict = a_scene(strain=0.2, friction=0.2)
-    with pytest.raises(NoPlan, match="^6 candidates: 3 s[a-z]+, 3 s[a-z]+$") as error:
+    with pytest.raises(NoPlan, match=r"^5 candidates: 3 slip, 2 strain$") as error:
         generate_and_test(strict, proposals(strict), "test", "coarse", 1)
-    assert {c.reason for c in error.value.candidates} == {"strain", "slip"}
+    assert [c.reason for c in error.value.candidates] == ["strain", "slip", "strain", "slip", "slip"]
 
 
 def test_nothing_to_try_is_no_plan() -> None:
-    with pytest.raises(NoPlan, match="^0 candidates: nothing to try$"):
+    with pytest.raises(NoPlan, match=r"^0 candidates: nothing to try$"):
         generate_and_test(a_scene(), [], "test", "coarse")
 
 
@@ -131,7 +131,8 @@ def test_the_planner_by_name_tries_the_spring_models_grasps() -> None:
     assert plan.planner == "ctc"
     assert [c.grasp for c in plan.candidates] == grasps
     assert all(c.path == ctc(scene, c.grasp) for c in plan.candidates)
-    by_hand = generate_and_test(scene, [(g, ctc(scene, g)) for g in grasps], "ctc", "coarse", 1, pruning="none")
+    trials = [(grasp, ctc(scene, grasp)) for grasp in grasps]
+    by_hand = generate_and_test(scene, trials, "ctc", "coarse", 1, pruning="none")
     assert plan.certificate.to_json() == by_hand.certificate.to_json()
 
 
@@ -156,11 +157,11 @@ def test_few_flaps_are_held_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys.modules["planners.certify"], "FemPhysics", Counted)
     scene = SCENES["homogeneous"]
     # the best candidate squeezes hardest: all others are retracted before it, and slip
-    grasps = [a_grasp(x, 0.05) for x in (-0.02, -0.025, -0.03, -0.035, -0.04)] + [a_grasp(-0.03, 0.2)]
+    grasps = [a_grasp(x, 0.05) for x in (-0.02, -0.025, -0.03, -0.035)] + [a_grasp(-0.03, 0.2)]
     trials = [(grasp, ctc(scene, grasp, 12)) for grasp in grasps]
     plan = generate_and_test(scene, trials, "test", "coarse", 1, count)
     assert 3 <= most <= 4
-    assert [c.reason for c in plan.candidates] == ["slip"] * 5 + ["ok"]
+    assert [c.reason for c in plan.candidates] == ["slip"] * 4 + ["ok"]
     assert plan.certificate.to_json() == certify(scene, *trials[-1], "coarse").to_json()
 
 
@@ -263,7 +264,8 @@ def test_ctrl_c_stops_all_threads() -> None:
     ],
 )
 def test_unknown_options_are_refused_before_any_work(wrong: dict[str, Any], message: str) -> None:
-    scene, told = SCENES["homogeneous"], []
+    scene = SCENES["homogeneous"]
+    told: list[object] = []
     with pytest.raises(ValueError) as caught:
         generate_and_test(scene, proposals(scene), "test", on_update=told.append, **wrong)
     assert str(caught.value) == message
@@ -271,7 +273,8 @@ def test_unknown_options_are_refused_before_any_work(wrong: dict[str, Any], mess
 
 
 def test_a_proposal_off_the_flap_is_refused_before_any_work() -> None:
-    scene, told = SCENES["homogeneous"], []
+    scene = SCENES["homogeneous"]
+    told: list[object] = []
     wrong = (Grasp(-0.06, 1e-3), proposals(scene)[0][1])
     with pytest.raises(ValueError, match=r"^grasp\.x = -0\.06 m, allowed \[-0\.05, "):
         generate_and_test(scene, [*proposals(scene), wrong], "test", "coarse", on_update=told.append)
