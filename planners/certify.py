@@ -112,7 +112,7 @@ class Trial:
     """One retraction under way: squeeze it, then move it. From any thread, one call at a time."""
 
     def __init__(self, scene: Scene, grasp: Grasp, path: JawPath, resolution: str = "fine"):
-        """Raises ValueError for a grasp off the flap, a path that does not begin there, an unknown resolution."""
+        """Raises ValueError: the grasp is off the flap, the path does not begin there, resolution is unknown."""
         if resolution not in RESOLUTIONS:
             raise ValueError(f"resolution = {resolution!r}, allowed {', '.join(RESOLUTIONS)}")
         grasp.check_inside(scene.tissue.length, scene.tissue.height)

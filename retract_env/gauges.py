@@ -48,6 +48,11 @@ class Gauge:
         """How high values (...,) stand, 0 to 1."""
         return np.clip((np.asarray(value, dtype=np.float64) - self.low) / (self.high - self.low), 0.0, 1.0)
 
+    @property
+    def limit_share(self) -> float:
+        """How high the limit stands."""
+        return (self.limit - self.low) / (self.high - self.low)
+
     def colour(self, value: float) -> str:
         """Green where the goal is reached, orange where a limit is broken, blue otherwise."""
         if self.wanted_above:
@@ -110,7 +115,7 @@ class Strip:
             letters.write(gauge.title, left, top - 12 * unit, GREY)
             canvas.box(*bar, rgb(GROUND))
             canvas.box(left, bottom - unit, right, bottom, rgb(HATCH))
-            level = bottom - float(gauge.share(gauge.limit)) * (bottom - top)
+            level = bottom - gauge.limit_share * (bottom - top)
             colour = SIGHT if gauge.wanted_above else LIMIT
             for x in np.arange(left, right, 7 * unit):
                 canvas.stroke([(x, level), (min(x + 4 * unit, right), level)], rgb(colour), 1.3 * unit)
@@ -131,6 +136,6 @@ class Strip:
             colour = gauge.colour(values[-1])
             canvas.stroke(curve[[-1, -1]], rgb(colour), 6.0 * unit)
             canvas.box(bar[0], float(heights[-1]), bar[2], bar[3], rgb(colour))
-            level = bottom - float(gauge.share(gauge.limit)) * (bottom - top)
+            level = bottom - gauge.limit_share * (bottom - top)
             canvas.box(bar[0] - 2 * unit, level - unit, bar[2] + 2 * unit, level + unit, rgb(INK))
             letters.write(gauge.text(values[-1]), bar[2], top - 12 * unit, colour, align=1.0)

@@ -130,6 +130,15 @@ def section_mesh(scene: Scene, jaw_x: float | None, resolution: Resolution) -> S
                 along = 1 - side[0]
                 sides[side][min(p[along], q[along]), max(p[along], q[along])] = 2 + i
 
+    if ends is not None:
+        # a vein that ends just beside a patch would leave a sliver
+        cuts = [x for (axis, _), spans in sides.items() if axis == 1 for span in spans for x in span]
+        low, high = (
+            min((x for x in cuts if abs(x - e) < SLIVER * width), key=lambda x: abs(x - e), default=e)
+            for e in ends
+        )
+        ends = low, high
+
     def side_points(axis: int, level: float, low: float, high: float) -> list[float]:
         cuts = {low, high, *(c for span in sides[axis, level] for c in span)}
         if axis == 1 and ends is not None:

@@ -1,9 +1,12 @@
 """The three objectives of a retraction, defined once: visibility, strain and security. Sec. III-C.
 
-Pure functions of arrays. The certifier, the environment and all reports use these and no others.
+Pure functions of arrays, and the one decision on what has become of a retraction. The certifier, the
+environment and all reports use these and no others.
 """
 
 from __future__ import annotations
+
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -59,3 +62,76 @@ def clearance(points: ArrayLike, camera: ArrayLike, target: ArrayLike) -> float:
     along = (camera - target) / np.hypot(*(camera - target))
     away = points - target
     return float((away[..., 0] * along[1] - away[..., 1] * along[0]).min())
+
+
+def bed_hits(points: ArrayLike, camera: ArrayLike) -> Array:
+    """Where rays from the camera through points meet the bed y = 0, m.
+
+    points: (..., 2) m, those below the bed count as on it; camera A: (2,) m. Returns (...,), infinite, on the
+    point's side, for points that are not below the camera.
+    """
+    points, (ax, ay) = np.asarray(points, float), np.asarray(camera, float)
+    drop = ay - np.maximum(points[..., 1], 0.0)
+    aside = points[..., 0] - ax
+    below = drop > 0
+    return np.where(below, ax + aside * ay / np.where(below, drop, 1.0), np.copysign(np.inf, aside))
+
+
+def seen_spans(outline: ArrayLike, camera: ArrayLike, near: float, far: float) -> Array:
+    """Parts of the bed from x = near to x = far, m, that the camera sees past the tissue, ascending.
+
+    outline: (..., k, 2) m, k points in a row of each piece of the tissue's outline; an edge hides the bed
+    between the rays through its two ends. camera A: (2,) m. Returns (s, 2) m.
+    """
+    outline, (ax, ay) = np.asarray(outline, float), np.asarray(camera, float)
+    p, q = outline[..., :-1, :].reshape(-1, 2), outline[..., 1:, :].reshape(-1, 2)
+    hits = bed_hits(outline, camera)
+    a, b = hits[..., :-1].ravel(), hits[..., 1:].ravel()
+    crosses = np.isinf(a) != np.isinf(b)
+    if crosses.any():  # on its way up past the camera, an edge leaves on the side where it is level with it
+        p, q = p[crosses], q[crosses]
+        level = p[:, 0] + (q[:, 0] - p[:, 0]) * (ay - p[:, 1]) / (q[:, 1] - p[:, 1])
+        away = np.copysign(np.inf, level - ax)
+        a[crosses] = np.where(np.isinf(a[crosses]), away, a[crosses])
+        b[crosses] = np.where(np.isinf(b[crosses]), away, b[crosses])
+    hides = ~(np.isinf(a) & np.isinf(b))
+    a, b = np.clip(a[hides], near, far), np.clip(b[hides], near, far)
+    begins = np.minimum(a, b)
+    order = np.argsort(begins)
+    hidden_to = np.maximum.accumulate(np.concatenate([[near], np.maximum(a, b)[order]]))
+    next_begins = np.concatenate([begins[order], [far]])
+    free = next_begins > hidden_to
+    return np.stack([hidden_to[free], next_begins[free]], axis=1)
+
+
+def exposure(outline: ArrayLike, camera: ArrayLike, target: ArrayLike, near: float) -> float:
+    """Fraction of the area of interest, the bed from x = near to the target, that the camera sees.
+
+    outline: as for `seen_spans`; camera A and target B: (2,) m; near: m, where the flap ended at rest. It is
+    1 wherever `clearance` is not negative.
+    """
+    far = float(np.asarray(target, float)[0])
+    spans = seen_spans(outline, camera, near, far)
+    return float(min(1.0, (spans[:, 1] - spans[:, 0]).sum() / (far - near)))
+
+
+def verdict(
+    max_strain: float,
+    required_friction: ArrayLike,
+    clearance: float,
+    strain_limit: float,
+    friction_limit: float,
+) -> Literal["strain", "release", "slip", "ok"] | None:
+    """What has become of a retraction in one state: a broken limit, success, or None while it goes on.
+
+    max_strain: eps_1%; required_friction: of each closed jaw, 0 for open ones; clearance: m. Limits come
+    before success: "strain" torn, "release" a jaw pulls, "slip" it slides, "ok" the target is in view.
+    """
+    friction = float(np.max(required_friction))
+    if max_strain > strain_limit:
+        return "strain"
+    if np.isinf(friction):
+        return "release"
+    if friction > friction_limit:
+        return "slip"
+    return "ok" if clearance >= 0 else None

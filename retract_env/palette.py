@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -15,6 +17,7 @@ VEIN_EDGE, SIGHT, VALUE, LIMIT = "#1b3a5c", "#00805f", "#0072b2", "#d55e00"
 GROUND, HATCH, HIDDEN, WEDGE = "#eceef0", "#c9ced3", "#c7ccd1", "#e3f1ec"
 
 
+@cache
 def rgb(colour: str) -> Colour:
     """The colour written as "#rrggbb"."""
     return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)

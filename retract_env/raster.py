@@ -30,7 +30,7 @@ class Canvas:
     def __init__(self, image: Bytes):
         """image: (h, w, 3), contiguous; drawn on in place."""
         self.image = image
-        self.surface = pygame.image.frombuffer(memoryview(image), image.shape[1::-1], "RGB")
+        self.surface = pygame.image.frombuffer(image.data, image.shape[1::-1], "RGB")
         """The same pixels for pygame to draw on."""
         self._coverage: Floats32 = np.zeros(image.shape[:2], dtype=np.float32)
 
@@ -163,28 +163,29 @@ def _stroke(
 def _convex(image: Bytes, points: Array, red: int, green: int, blue: int) -> None:
     """See Canvas.polygon. Coverage from the distance to the nearest side, half a pixel on either side."""
     count = len(points)
-    sides = np.zeros((count, 3))  # distance from a side's line, inwards: sides @ (x, y, 1)
+    sides = np.empty((count, 3))  # distance from a side's line: sides @ (x, y, 1)
     area, found = 0.0, 0
+    left, right, top, bottom = math.inf, -math.inf, math.inf, -math.inf
     for i in range(count):
         ax, ay = points[i, 0], points[i, 1]
         bx, by = points[(i + 1) % count, 0], points[(i + 1) % count, 1]
+        left, right, top, bottom = min(left, ax), max(right, ax), min(top, ay), max(bottom, ay)
         area += ax * by - bx * ay
         length = math.sqrt((bx - ax) ** 2 + (by - ay) ** 2)
         if length > 0.0:
-            sides[found] = (ay - by) / length, (bx - ax) / length, (ax * by - bx * ay) / length
+            sides[found, 0] = (ay - by) / length
+            sides[found, 1] = (bx - ax) / length
+            sides[found, 2] = (ax * by - bx * ay) / length
             found += 1
     if not 1e-12 < abs(area) < 1e18:
         return
-    if area < 0.0:
-        sides *= -1.0
-    left, right = points[:, 0].min() - 0.5, points[:, 0].max() + 0.5
-    top, bottom = points[:, 1].min() - 0.5, points[:, 1].max() + 0.5
-    for row in range(_first(top), _last(bottom, image.shape[0]) + 1):
-        for column in range(_first(left), _last(right, image.shape[1]) + 1):
+    inwards = 1.0 if area > 0.0 else -1.0
+    for row in range(_first(top - 0.5), _last(bottom + 0.5, image.shape[0]) + 1):
+        for column in range(_first(left - 0.5), _last(right + 0.5, image.shape[1]) + 1):
             inside = 1.0
             for i in range(found):
                 away = sides[i, 0] * (column + 0.5) + sides[i, 1] * (row + 0.5) + sides[i, 2]
-                inside = min(inside, away + 0.5)
+                inside = min(inside, inwards * away + 0.5)
             if inside > 0.0:
                 _blend(image[row, column], red, green, blue, inside)
 
@@ -193,16 +194,20 @@ def _convex(image: Bytes, points: Array, red: int, green: int, blue: int) -> Non
 def shrunk(image: Bytes, times: int) -> Bytes:
     """Means over times x times pixels: (times h, times w, 3) to (h, w, 3)."""
     height, width = image.shape[0] // times, image.shape[1] // times
+    rows = image.reshape(image.shape[0], -1)
     small = np.empty((height, width, 3), dtype=np.uint8)
-    sums = np.empty((width, 3), dtype=np.int64)
+    sums = np.empty(rows.shape[1], dtype=np.int32)
+    share = 1.0 / (times * times)
     for row in range(height):
-        sums[:] = times * times // 2
+        for j in range(len(sums)):
+            sums[j] = 0
         for i in range(row * times, (row + 1) * times):
-            for column in range(width):
-                for j in range(column * times, (column + 1) * times):
-                    for k in range(3):
-                        sums[column, k] += image[i, j, k]
+            for j in range(len(sums)):
+                sums[j] += rows[i, j]
         for column in range(width):
             for k in range(3):
-                small[row, column, k] = sums[column, k] // (times * times)
+                total = 0
+                for j in range(times):
+                    total += sums[(column * times + j) * 3 + k]
+                small[row, column, k] = int(total * share + 0.5)
     return small

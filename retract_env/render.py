@@ -5,10 +5,13 @@ Frames are drawn in memory: no display is needed, and only text goes through pyg
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # pygame prints a line as it is imported
 
 from retract_env.gauges import Strip
 from retract_env.lettering import Lettering
@@ -34,7 +37,7 @@ LEAST = 160
 FINER = 3
 """Pixels of the small picture are means over as many, squared."""
 SMALL_RIGHT, SMALL_BED = 0.2, 0.07
-"""What the small picture shows behind the fixed end, over the flap's length, and of the bed, over its height."""
+"""What a small picture shows behind the fixed end over the flap's length, and of the bed over its height."""
 
 
 class SectionRenderer:

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-LEFT, RIGHT = 1.1, 0.45
-"""What a picture shows before and behind the fixed end, over the flap's length."""
+LEFT, RIGHT, ABOVE = 1.1, 0.45, 0.85
+"""What a picture shows at least before, behind and above the fixed end, over the flap's length."""
 
 
 @dataclass(frozen=True)
@@ -42,9 +42,11 @@ class View:
 
 
 def view_of(scene: Scene, width: int, bed: int, right: float = RIGHT) -> View:
-    """`width` px show the flap, LEFT before and `right` behind the fixed end, times its length."""
-    length = scene.tissue.length
-    return View(left=-LEFT * length, bed=bed, scale=width / ((LEFT + right) * length))
+    """The largest view that shows LEFT, `right` and ABOVE on `width` px and `bed` rows above the bed."""
+    length = max(scene.tissue.length, 3 * scene.tissue.height)  # thick flaps need room as well
+    scale = min(width / (LEFT + right), bed / ABOVE) / length
+    spare = width / scale - (LEFT + right) * length
+    return View(left=-LEFT * length - spare / 2, bed=bed, scale=scale)
 
 
 class Scenery:
@@ -70,8 +72,8 @@ class Scenery:
         self._still = self.canvas.image.copy()
 
     def begin(self) -> None:
-        """Clear the stage."""
-        np.copyto(self.canvas.image, self._still)
+        """Clear the stage, down to the bed, which `cover` draws."""
+        np.copyto(self.canvas.image[: self.view.bed], self._still[: self.view.bed])
 
     def cover(self, seen: Array) -> None:
         """Draw what lies over the flap. seen: (s, 2) m, what the camera sees of the area of interest."""
@@ -117,7 +119,7 @@ class Scenery:
         tall = bottom - top
         step = 7 * self.unit
         # strokes of both boxes lie on the same lines
-        start = math.floor((left - tall - bottom) / step) * step + bottom - left
+        start = math.ceil((left + bottom - tall) / step) * step - left - bottom
         for x in np.arange(start, right - left, step) if self._hatched else ():
             patch.stroke([(x, tall), (x + tall, 0)], rgb(HATCH), 0.7 * self.unit)
         self.canvas.image[top:bottom, left:right] = patch.image
@@ -143,10 +145,11 @@ def draw_words(scenery: Scenery, letters: Lettering) -> None:
     scene, view, unit = scenery.scene, scenery.view, scenery.unit
     length, target = scene.tissue.length, scene.line_of_sight.target
     below = view.bed + 17 * unit
-    at = view((-length, 0.0))[0] + 4 * unit
+    near, far = view([(-length, 0.0), target])[:, 0]
+    letters.write("B", far, below, SIGHT, 0.5, plate=GROUND)
+    at = near + 4 * unit if far - near > 215 * unit else far + 20 * unit  # the words take 205
     for word, colour in (("area of interest", GREY), ("in view", SIGHT), ("hidden", LIMIT)):
         at += letters.write(word, at, below, colour, plate=GROUND) + 12 * unit
-    letters.write("B", view(target)[0], below, SIGHT, 0.5, plate=GROUND)
     wall = view((0.0, scene.tissue.height / 2))
     letters.write("fixed end", wall[0] + 14 * unit, wall[1], GREY, plate=GROUND)
     end, away = scenery.sight_end, scenery.away

@@ -1,11 +1,15 @@
-"""What every physics answers with: the state of the tissue and of the jaws after a move."""
+"""What every physics does, and what it answers with: the state of the tissue and of the jaws after a move."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from retract_env.mesh import SectionMesh
 
 Array = NDArray[np.float64]
 
@@ -41,3 +45,27 @@ class TissueState:
     """m, signed distance of the lowest tissue node to AB; negative while tissue lies below it."""
     progress: float
     """How far along the path, in waypoints; 0 at rest, 1 squeezed."""
+
+
+class Physics(Protocol):
+    """One flap and the two jaws that hold it; made from (scene, jaw_x in m, resolution)."""
+
+    @property
+    def section(self) -> SectionMesh:
+        """The mesh that the states refer to."""
+
+    def reset(self) -> TissueState:
+        """Let the flap rest on its bed between open jaws. Raises Diverged."""
+
+    def move_to(self, pose: Array, progress: float | None = None) -> TissueState:
+        """Move the jaws straight to a pose (4,) x, y, theta, separation.
+
+        progress: where this is on a path, in waypoints; None off any path. Raises Diverged; the state is then
+        still the last good one.
+        """
+
+    def state(self) -> TissueState:
+        """The last good state."""
+
+    def close(self) -> None:
+        """Give back what it holds; may be called again."""

@@ -40,6 +40,8 @@ MARGIN = 2e-4
 STRIDE = 2e-3, np.radians(6.0)
 """m and rad, farthest move of the gripper within BulletResolution.steps; longer moves take a multiple."""
 PARTS = 10
+DAMP = 1e-5
+UNIT = 1e-4
 """Parts of a stride, after each of which the jaws move on and the kinetic energy is looked at."""
 COURANT = 0.8
 """Time step over the longest that is stable for small vibrations."""
@@ -114,7 +116,7 @@ class BulletPhysics:
             self._world.place(points)
         self._world.place_jaws(pose)
         self._points = points
-        self._energy = 0.0
+        self._energy = self._step = 0.0
         self._frequency, self._mode = self.flap.frequency(points - self.mesh.points, self.node_mass, None, 30)
 
     def close(self) -> None:
@@ -148,7 +150,7 @@ class BulletPhysics:
         _, start, before = self._good
         dx, dy, turn, squeeze = np.abs(pose - start)
         strides = max(np.hypot(dx, dy) / STRIDE[0], squeeze / STRIDE[0], turn / STRIDE[1])
-        parts = PARTS * max(1, int(np.ceil(strides - 1e-9)))
+        parts = int(np.ceil(PARTS * max(1.0, strides) - 1e-9))
         with self._keeping_the_last_good_state():
             at = start
             for k in range(1, parts + 1):
@@ -190,7 +192,9 @@ class BulletPhysics:
         self._frequency, self._mode = self.flap.frequency(points - rest, self.node_mass, self._mode, 2)
         if not np.isfinite(self._frequency):
             raise Diverged("an element is inside out")
-        step, count = COURANT * 2 / self._frequency, self.resolution.steps // PARTS
+        if not 0.85 * COURANT < self._step * self._frequency / 2 < 1.1 * COURANT:
+            self._step = 2 * COURANT / self._frequency
+        step, count = self._step, self.resolution.steps // PARTS
         if start is not end:
             points = self._carry(points, start, end)
             world.place(points)
@@ -256,7 +260,7 @@ class World:
         mu = tissue.modulus / (2 * (1 + tissue.poisson))
         lam = 2 * mu * tissue.poisson / (1 - 2 * tissue.poisson)
         b.resetSimulation(b.RESET_USE_DEFORMABLE_WORLD, **self._at)
-        b.setGravity(0.0, -scene.gravity, 0.0, **self._at)
+        b.setGravity(0.0, -scene.gravity * UNIT**2, 0.0, **self._at)
         with tempfile.TemporaryDirectory(prefix="retract-") as folder:
             file = Path(folder) / "flap.vtk"
             file.write_text(self._text, "ascii")
@@ -268,9 +272,9 @@ class World:
                     collisionMargin=MARGIN,
                     useNeoHookean=1,
                     # Bullet's law is another one; with these it is Hooke's at small strain.
-                    NeoHookeanMu=4 / 3 * mu,
-                    NeoHookeanLambda=lam + 5 / 6 * mu,
-                    NeoHookeanDamping=0.0,
+                    NeoHookeanMu=4 / 3 * mu * UNIT**2,
+                    NeoHookeanLambda=(lam + 5 / 6 * mu) * UNIT**2,
+                    NeoHookeanDamping=DAMP / UNIT,
                     frictionCoeff=0.0,
                     **self._at,
                 )
@@ -348,7 +352,7 @@ class World:
 
     def run(self, count: int, step: float) -> None:
         """count steps of step s."""
-        self._bullet.setPhysicsEngineParameter(fixedTimeStep=step, **self._at)
+        self._bullet.setPhysicsEngineParameter(fixedTimeStep=step / UNIT, **self._at)
         for _ in range(count):
             self._bullet.stepSimulation(**self._at)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import defaultdict
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from retract_env.fem.solver import Diverged, Equilibrium
 from retract_env.grasp import to_jaws, to_pose
 from retract_env.mesh import RESOLUTIONS, Resolution, section_mesh
 from retract_env.objectives import clearance, required_friction, strain, worst_mean
+from retract_env.outlines import fewer_corners
 from retract_env.physics.base import TissueState
 from retract_env.scene import Scene
 
@@ -22,6 +24,8 @@ SMALLEST_CUT = 1 / 64
 """Part of a step below which it is not cut any further."""
 FIRST_PART = 0.3
 """Part of a step that is tried first after a corner of the path."""
+VEIN_CORNERS = {"coarse": 4}
+"""Corners of a vein at most, by resolution: what decides how coarse a mesh can be."""
 MEMORY = 4
 """Equilibria that the extrapolating predictor looks back on."""
 
@@ -33,8 +37,15 @@ class FemPhysics:
     still the last good one.
     """
 
-    def __init__(self, scene: Scene, jaw_x: float, resolution: str | Resolution = "fine"):
-        """jaw_x: m, where the jaws grasp."""
+    def __init__(
+        self,
+        scene: Scene,
+        jaw_x: float,
+        resolution: str | Resolution = "fine",
+        stop_when: Callable[[TissueState], bool] | None = None,
+    ):
+        """jaw_x: m, where the jaws grasp; stop_when: asked after each part of a move that has to be cut, and
+        where it says so the move ends there. Raises MeshError, and ValueError for an unknown resolution."""
         if isinstance(resolution, str):
             if resolution not in RESOLUTIONS:
                 raise ValueError(f"resolution = {resolution!r}, allowed {', '.join(RESOLUTIONS)}")
@@ -42,14 +53,18 @@ class FemPhysics:
         self.scene, self.resolution, self.jaw_x = scene, resolution, jaw_x
         self.seconds: defaultdict[str, float] = defaultdict(float)
         start = time.perf_counter()
-        self.section = section_mesh(scene, jaw_x, resolution)
+        corners = VEIN_CORNERS.get(resolution.name)
+        drawn = scene if corners is None else fewer_corners(scene, corners)
+        self.section = section_mesh(drawn, jaw_x, resolution)
         self.seconds["mesh"] = time.perf_counter() - start
         start = time.perf_counter()
         self.model = FlapModel(scene, self.section, jaw_x)
         self.equilibrium = Equilibrium(self.model)
         self._volumes = np.concatenate([b.by_element(b.weight).ravel() for b in self.model.prism.blocks])
         self.seconds["assembly"] = time.perf_counter() - start
+        self._stop_when = stop_when
         self._history: list[tuple[float, Array]] = []
+        self._rest: tuple[Array, Array] | None = None
         self._begin()
 
     def _begin(self) -> None:
@@ -63,12 +78,16 @@ class FemPhysics:
     def reset(self) -> TissueState:
         """Let the flap rest on its bed, the open jaws holding it where they touch. Raises Diverged."""
         self._begin()
-        self.equilibrium.usable = False
+        self.equilibrium.counts.clear()
         start = time.perf_counter()
         try:
-            self._u, self._force = self.equilibrium.solve(self._u)
+            if self._rest is None:
+                self.equilibrium.usable = False
+                self._rest = self.equilibrium.solve(self._u)
         finally:
             self.seconds["equilibrium"] += time.perf_counter() - start
+        self.equilibrium.usable = False  # what follows depends on nothing before, not even in its last bit
+        self._u, self._force = self._rest
         self._history.append((0.0, self._u))
         return self.state()
 
@@ -98,11 +117,16 @@ class FemPhysics:
                         raise
                 else:
                     done = share
+                    if done < 1.0 and self._stop_when is not None and self._stop_when(self.state()):
+                        return self.state()
                     part *= 3
         finally:
             self.seconds["equilibrium"] += time.perf_counter() - start
         self._pose = pose
         return self.state()
+
+    def close(self) -> None:
+        """Nothing is held that would not go by itself."""
 
     def turn(self) -> None:
         """Say that the path has a corner here: what came before does not predict what follows."""

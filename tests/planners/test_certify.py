@@ -286,7 +286,7 @@ def test_a_deep_flap_is_squeezed_in_layers_and_seen_at_every_depth() -> None:
     line = scene.line_of_sight
     middle = objectives.clearance(deep.frames[-1].points, line.camera, line.target)
     assert 0 <= deep.clearance <= ON_TIME < middle
-    # tissue beside the jaws bears part of the squeeze: more force than on 5 mm of narrow flap, less than on 10
+    # tissue beside the jaws bears a part: more force than on 5 mm of narrow flap, less than on 10
     wide, each = (c.frames[SQUEEZE_INCREMENTS].reactions[1, 1] for c in (deep, narrow))
     assert 0.005 / HEIGHT < wide / each < 0.010 / HEIGHT
 

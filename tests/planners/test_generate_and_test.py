@@ -77,7 +77,7 @@ def test_the_winner_depends_neither_on_pruning_nor_on_threads(name: str, pruning
     plan, reference = planned(name, pruning, workers), planned(name)
     assert plan.certificate.to_json() == reference.certificate.to_json()
     assert (plan.grasp, plan.path) == (reference.grasp, reference.path)
-    chosen = plan.candidates[[c.grasp for c in plan.candidates].index(plan.grasp)]
+    (chosen,) = (candidate for candidate in plan.candidates if candidate.grasp is plan.grasp)
     assert chosen.index == 1  # of the equal two, the earlier
     assert chosen.reason == "ok"
     # what was dropped could not have won, and the rest ended as without pruning
@@ -88,6 +88,15 @@ def test_the_winner_depends_neither_on_pruning_nor_on_threads(name: str, pruning
         else:
             assert candidate.reason == whole.reason
             assert candidate.max_strain == whole.max_strain
+
+
+@pytest.mark.parametrize("pruning", PRUNING)
+def test_the_better_of_two_that_are_close_wins(pruning: str) -> None:
+    """The lighter grip squeezes to within 1 % of the other's whole strain, and is not dropped for it."""
+    scene = SCENES["homogeneous"]
+    trials = [(grasp, ctc(scene, grasp, 12)) for grasp in (a_grasp(-0.035, 0.25), a_grasp(-0.035, 0.2495))]
+    plan = generate_and_test(scene, trials, "test", "coarse", 1, pruning=pruning)
+    assert plan.grasp is trials[1][0]
 
 
 @every_scene

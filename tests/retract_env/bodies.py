@@ -143,26 +143,28 @@ def relax(solid: Assembly | FlapModel, u: Array, load: Array | float = 0.0) -> t
     free = assembly.free
     factor = cholesky(assembly.indptr, assembly.indices)
     energy, force = solid.residual(u)
-    best = np.inf
+    last = np.inf
     for _ in range(60):
         out = force - load
-        norm = float(np.linalg.norm(out[free]))
-        scale = float(np.linalg.norm(assembly.residual(u)[1]))
-        if norm <= 1e-14 * scale or (norm < 1e-9 * scale and norm > 0.5 * best):
-            return u, out
-        best = min(best, norm)
         factor.factorize(solid.tangent(u))
         step = np.zeros_like(u)
         step[free] = -factor.solve(out[free])
-        length, potential = 1.0, energy - float(np.sum(load * u))
+        size, most = float(np.abs(step).max()), float(np.abs(u).max())
+        if size <= 1e-14 * most or 0.5 * last < size < 1e-6 * most:  # rounding
+            return u, out
+        last = size
+        length, norm = 1.0, np.linalg.norm(out[free])
         while True:
             trial = u + length * step
-            energy, force = solid.residual(trial)
-            if energy - float(np.sum(load * trial)) <= potential + 1e-9 * abs(potential):
+            trial_energy, force = solid.residual(trial)
+            # close to equilibrium differences of energy are but rounding
+            if trial_energy - energy <= float(np.sum(load * (trial - u))) or (
+                np.isfinite(trial_energy) and np.linalg.norm((force - load)[free]) < 0.5 * norm
+            ):
                 break
             length /= 2
             assert length > 1e-9, "no descent"
-        u = trial
+        u, energy = trial, trial_energy
     raise AssertionError("no equilibrium")
 
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -43,6 +43,7 @@ def test_strain_does_not_depend_on_the_order_of_stretches(stretches: list[float]
 # --- eps_1%
 
 
+@settings(deadline=None)
 @given(values, fractions)
 def test_worst_mean_is_that_of_many_equal_pieces(pairs: list[tuple[float, float]], fraction: float) -> None:
     strains, volumes = columns(pairs)

@@ -1,4 +1,4 @@
-"""Scenes: the paper's values, what is refused and how it is said, round trips, random ones."""
+"""Scenes: the paper's values, what is refused and how it is said, round trips, files."""
 
 from __future__ import annotations
 
@@ -7,84 +7,27 @@ import hashlib
 import json
 import math
 import pickle
-from collections import Counter
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import shapely
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retract_env.sampling import SceneRanges
 from retract_env.scene import (
     Jaws,
     Limits,
     LineOfSight,
     Scene,
     SceneError,
-    Tissue,
-    Vein,
     load_scene,
     sample_scene,
 )
-from retract_env.veins import MIN_GAP
+from tests.retract_env.descriptions import LENGTH, SQUARE, complaint, moved, plain, with_veins
 
 SCENES = Path(__file__).resolve().parents[2] / "configs" / "scenes"
-LENGTH, HEIGHT = 0.05, 0.0044  # m
-SQUARE = [[-0.026, 0.001], [-0.024, 0.001], [-0.024, 0.003], [-0.026, 0.003]]
-
-
-def plain(**changes: Any) -> dict[str, Any]:
-    """A scene as data; a key like tissue__height replaces one value, and ... removes it."""
-    data: dict[str, Any] = {
-        "name": "case",
-        "tissue": {
-            "length": LENGTH,
-            "height": HEIGHT,
-            "depth": 0.0044,
-            "density": 1000.0,
-            "modulus": 4e4,
-            "poisson": 0.45,
-            "veins": [],
-        },
-        "line_of_sight": {"camera": [-0.0825, 0.07], "target": [-0.0125, 0.0]},
-    }
-    for path, value in changes.items():
-        *parents, key = path.split("__")
-        place = data
-        for parent in parents:
-            place = place.setdefault(parent, {})
-        if value is ...:
-            del place[key]
-        else:
-            place[key] = value
-    return data
-
-
-def with_veins(*outlines: Any) -> dict[str, Any]:
-    return plain(tissue__veins=[{"outline": outline, "modulus": 2e5} for outline in outlines])
-
-
-def moved(outline: Any, dx: float = 0.0, dy: float = 0.0) -> list[list[float]]:
-    return [[x + dx, y + dy] for x, y in outline]
-
-
-def box(left: float, right: float, low: float, high: float) -> list[list[float]]:
-    return [[left, low], [right, low], [right, high], [left, high]]
-
-
-def complaint(call: Callable[[], object]) -> str:
-    """The message of the SceneError that call raises: one line."""
-    with pytest.raises(SceneError) as caught:
-        call()
-    message = str(caught.value)
-    assert len(message.splitlines()) == 1
-    return message
 
 
 # --- The paper's scenes
@@ -333,130 +276,6 @@ def test_junk_anywhere_gives_a_scene_or_one_line(place: tuple[Any, ...], junk: A
     assert len(message) < 1000
 
 
-# --- Veins
-
-
-@pytest.mark.parametrize(
-    ("outline", "message"),
-    [
-        ([], ".outline: 0 distinct vertices, allowed at least 3"),
-        (SQUARE[:2], ".outline: 2 distinct vertices, allowed at least 3"),
-        ([*SQUARE[:2], SQUARE[0]], ".outline: 2 distinct vertices, allowed at least 3"),
-        ([SQUARE[0], *SQUARE], ".outline[0]: 0 m from the next vertex, allowed at least 1e-06 m"),
-        ([[-0.02, 0.001], [-0.019, 0.002], [-0.018, 0.003]], ".outline: the polygon has no area"),
-        (
-            [SQUARE[k] for k in (0, 2, 1, 3)],
-            ".outline: the polygon crosses or touches itself near (-0.025, 0.002) m",
-        ),
-        (
-            [*SQUARE, [-0.025, 0.001]],
-            ".outline: the polygon crosses or touches itself near (-0.025, 0.001) m",
-        ),
-        (box(-0.03, -0.02, 0.002, 0.00204), ".outline: mean thickness 4e-05 m, allowed at least 5e-05 m"),
-        ([[-0.03, 0.001], [-0.02, 0.001], [-0.02, 0.0018]], ".outline[0]: corner sharper than 5 degrees"),
-        (
-            [*SQUARE[:3], [-0.02496, 0.003], [-0.025, 0.0012], [-0.02504, 0.003], SQUARE[3]],
-            ".outline[4]: corner sharper than 5 degrees",
-        ),
-        (
-            moved(SQUARE, dy=0.002),
-            ": vertex 2 at (-0.024, 0.005) m is outside the flap, allowed x in [-0.05, 0] m",
-        ),
-        (moved(SQUARE, dy=-0.0011), ": vertex 0 at (-0.026, -0.0001) m is outside the flap"),
-        (moved(SQUARE, dx=0.025), ": vertex 1 at (0.001, 0.001) m is outside the flap"),
-        (moved(SQUARE, dx=-0.025), ": vertex 0 at (-0.051, 0.001) m is outside the flap"),
-        (moved(SQUARE, dy=0.00136), ": 4e-05 m from the top of the flap, allowed at least 5e-05 m, or 0 m"),
-        (moved(SQUARE, dy=-0.00096), ": 4e-05 m from the bottom of the flap"),
-        (moved(SQUARE, dx=-0.02396), ": 4e-05 m from the free end of the flap"),
-        (moved(SQUARE, dx=0.02396), ": 4e-05 m from the fixed end of the flap"),
-        (
-            [[-0.03, 0.0], [-0.029, 0.002], [-0.031, 0.002]],
-            ": touches the bottom of the flap with one vertex",
-        ),
-        (
-            [[-0.03, 0.0], [-0.02, 0.0], [-0.01, 0.0005], [-0.02, 0.003]],
-            ": leaves the bottom of the flap at less than 5 degrees",
-        ),
-        ([[0.001, "a"], *SQUARE[1:]], ".outline[0][1] = 'a', not a number; allowed [-10, 10] m"),
-        ([[0.001], *SQUARE[1:]], ".outline[0] = [0.001], not a point [x, y] in m"),
-        ("round", ".outline = 'round', not a list"),
-    ],
-)
-def test_a_bad_vein_is_named_by_its_index(outline: Any, message: str) -> None:
-    good = moved(SQUARE, dx=-0.02)
-    assert f"tissue.veins[1]{message}" in complaint(lambda: Scene.from_data(with_veins(good, outline)))
-
-
-@pytest.mark.parametrize(
-    ("second", "message"),
-    [
-        (moved(SQUARE, dx=0.001), "tissue.veins[1]: overlaps or touches veins[0], allowed at least 5e-05 m"),
-        (SQUARE, "tissue.veins[1]: overlaps or touches veins[0]"),
-        (box(-0.0255, -0.0245, 0.0015, 0.0025), "tissue.veins[1]: overlaps or touches veins[0]"),
-        (box(-0.024, -0.022, 0.001, 0.003), "tissue.veins[1]: overlaps or touches veins[0]"),
-        (
-            box(-0.02396, -0.022, 0.001, 0.003),
-            "tissue.veins[1]: is 4e-05 m from veins[0], allowed at least 5e-05 m",
-        ),
-    ],
-)
-def test_veins_that_meet_are_named_by_their_indices(second: Any, message: str) -> None:
-    for first, other in ((SQUARE, second), (second, SQUARE)):
-        assert message in complaint(partial(Scene.from_data, with_veins(first, other)))
-
-
-def test_the_least_gap_itself_is_allowed() -> None:
-    right = box(-0.024 + MIN_GAP, -0.022, 0.001, HEIGHT - MIN_GAP)
-    assert len(Scene.from_data(with_veins(SQUARE, right)).tissue.veins) == 2
-
-
-@pytest.mark.parametrize(
-    "outline",
-    [
-        box(-LENGTH, 0.0, 0.0, HEIGHT / 2),
-        box(-LENGTH, 0.0, HEIGHT / 2, HEIGHT),
-        box(-0.03, -0.02, 0.0, HEIGHT),
-        box(-LENGTH, 0.0, 0.0, HEIGHT),
-    ],
-    ids=["lower layer", "upper layer", "strip", "whole flap"],
-)
-def test_layers_and_strips_are_veins(outline: Any) -> None:
-    assert Scene.from_data(with_veins(outline)).tissue.veins[0].outline == tuple(map(tuple, outline))
-
-
-def test_rounding_at_the_surface_is_taken_for_the_surface() -> None:
-    top = HEIGHT * (1 + 1e-15)
-    assert top != HEIGHT
-    (vein,) = Scene.from_data(with_veins(box(-0.03, -0.02, -1e-18, top))).tissue.veins
-    assert {y for _, y in vein.outline} == {0.0, HEIGHT}
-
-
-def test_outlines_become_counter_clockwise_and_open() -> None:
-    ring = Vein(outline=np.array(SQUARE), modulus=2e5).outline  # type: ignore[arg-type]
-    assert ring == tuple(map(tuple, SQUARE))
-    clockwise = [SQUARE[0], *SQUARE[:0:-1]]
-    for drawn in (clockwise, [*clockwise, clockwise[0]], [*SQUARE, SQUARE[0]]):
-        assert Scene.from_data(with_veins(drawn)).tissue.veins[0].outline == ring
-
-
-def test_mirrored_tissue_is_as_good() -> None:
-    """The rules favour no side: a flap turned over, or end for end, is accepted or refused alike."""
-    bad = [with_veins(SQUARE, moved(SQUARE, dx=0.001)), with_veins(moved(SQUARE, dy=0.00136))]
-    good = [sample_scene(np.random.default_rng(seed)).dump() for seed in range(30)]
-    for scenes, accepted in ((good, True), (bad, False)):
-        for scene in scenes:
-            for ends, sides in ((False, True), (True, False), (True, True)):
-                tissue = copy.deepcopy(scene["tissue"])
-                for vein in tissue["veins"]:
-                    vein["outline"] = [
-                        [-LENGTH - x if ends else x, HEIGHT - y if sides else y] for x, y in vein["outline"]
-                    ]
-                if accepted:
-                    assert len(Tissue(**tissue).veins) == len(tissue["veins"])
-                else:
-                    complaint(partial(Tissue, **tissue))
-
-
 # --- Line of sight
 
 
@@ -539,63 +358,3 @@ def test_anchors_and_merges_work(tmp_path: Path) -> None:
     file = tmp_path / "scene.yaml"
     file.write_text(data.replace("\n  veins: []\n", veins))
     assert load_scene(file) == Scene.from_data(with_veins(SQUARE, moved(SQUARE, dx=0.01)))
-
-
-# --- Random scenes
-
-
-def test_sampled_scenes_are_valid_and_keep_their_ranges() -> None:
-    """200 seeds. The checks are made afresh here, with polygons, not with the sampler's own."""
-    counts: Counter[int] = Counter()
-    moduli: list[float] = []
-    for seed in range(200):
-        scene = sample_scene(np.random.default_rng(seed))
-        assert Scene.from_data(scene.dump()) == scene
-        veins = scene.tissue.veins
-        counts[len(veins)] += 1
-        moduli += [vein.modulus for vein in veins]
-        polygons = [shapely.Polygon(vein.outline) for vein in veins]
-        room = shapely.box(-LENGTH, 0.0, 0.0, HEIGHT).buffer(-MIN_GAP)
-        assert all(room.covers(polygon) for polygon in polygons)
-        for i, polygon in enumerate(polygons):
-            assert polygon.area > 0.9 * polygon.convex_hull.area
-            assert all(polygon.distance(other) >= MIN_GAP for other in polygons[:i])
-        assert 0.1 * LENGTH <= -scene.line_of_sight.target[0] <= 0.4 * LENGTH
-        assert 30.0 - 1e-9 <= math.degrees(scene.line_of_sight.slope) <= 70.0 + 1e-9
-    assert set(counts) == set(range(21))  # each number is missed with probability (20/21)^200 < 1e-4
-    assert min(moduli) >= 80e3
-    assert max(moduli) <= 400e3
-    # Log-uniform: half of the n moduli lie below the geometric mean, up to four binomial standard deviations.
-    below = np.mean(np.array(moduli) < math.sqrt(80e3 * 400e3))
-    assert abs(below - 0.5) < 4 * 0.5 / math.sqrt(len(moduli))
-
-
-def test_a_seed_names_a_scene() -> None:
-    first, again, other = (sample_scene(np.random.default_rng(seed)) for seed in (7, 7, 8))
-    assert first == again
-    assert first.hash == again.hash
-    assert first.hash != other.hash
-
-
-def test_ranges_shift_what_is_drawn() -> None:
-    ranges = SceneRanges(
-        veins=(12, 12), tissue_modulus=(20e3, 80e3), height=(3e-3, 6e-3), depth=(0.01, 0.02), slope=(1.3, 1.4)
-    )
-    scenes = [sample_scene(np.random.default_rng(seed), ranges) for seed in range(20)]
-    assert {len(scene.tissue.veins) for scene in scenes} == {12}
-    for scene in scenes:
-        assert 20e3 <= scene.tissue.modulus <= 80e3
-        assert 3e-3 <= scene.tissue.height <= 6e-3
-        assert 0.01 <= scene.tissue.depth <= 0.02
-        assert 1.3 - 1e-9 <= scene.line_of_sight.slope <= 1.4 + 1e-9
-    assert len({scene.tissue.height for scene in scenes}) == 20
-
-
-def test_ranges_that_cannot_be_met_are_refused() -> None:
-    rng = np.random.default_rng(0)
-    crowd = SceneRanges(veins=(60, 60), length=(0.005, 0.005))
-    assert "no room for vein" in complaint(lambda: sample_scene(rng, crowd))
-    assert "slope = (2, 1), not a range" in complaint(lambda: SceneRanges(slope=(2, 1)))
-    assert "height = " in complaint(
-        lambda: sample_scene(rng, SceneRanges(height=(1.0, 1.0), length=(0.5, 0.5)))
-    )

@@ -1,0 +1,77 @@
+"""What the three numbers of an action mean: the first one of an episode a grasp, all others a move.
+
+Numbers lie in [-1, 1]. Both meanings have their inverse here, which policies that know poses use.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from retract_env.grasp import Grasp
+from retract_env.mesh import SLIVER
+from retract_env.scene import Scene
+
+Array = NDArray[np.float64]
+
+SIZE = 3
+STEP = np.array([2e-3, 2e-3, np.radians(6.0)])
+"""(3,) m, m, rad: how far -1 or 1 moves the gripper in x, in y and in its angle."""
+COMPRESSION = (0.02, 0.5)
+"""Least and greatest compression over the flap's height. The spring model's are at most half the strain limit
+(Eq. 5)."""
+
+
+def checked(action: ArrayLike) -> Array:
+    """The action (3,) with each number clipped to [-1, 1].
+
+    Raises ValueError, one line, for another shape or what is not a finite number.
+    """
+    try:
+        numbers = np.asarray(action, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(f"action = {action!r}, allowed {SIZE} numbers".replace("\n", " ")) from None
+    if numbers.shape != (SIZE,):
+        raise ValueError(f"action has shape {numbers.shape}, allowed ({SIZE},)")
+    if not np.isfinite(numbers).all():
+        raise ValueError(f"action = {numbers.tolist()}, allowed finite numbers")
+    return np.clip(numbers, -1.0, 1.0)
+
+
+def grasp_range(scene: Scene) -> tuple[Array, Array]:
+    """Least and greatest (x, compression), (2,) m each, of a grasp whose jaws fit on the flap."""
+    tissue, width = scene.tissue, scene.jaws.width
+    # a hair inside what `mesh.patch_ends` accepts, for rounding
+    nearest = -(0.5 + SLIVER) * width * (1 + 1e-6)
+    low, high = (share * tissue.height for share in COMPRESSION)
+    return np.array([-tissue.length, low]), np.array([nearest, high])
+
+
+def to_grasp(action: ArrayLike, scene: Scene) -> Grasp:
+    """Grasp of a first action: -1 is the free end and least compression, 1 the fixed end and the greatest.
+
+    The third number has no meaning. Raises ValueError as `checked`.
+    """
+    low, high = grasp_range(scene)
+    x, compression = low + (checked(action)[:2] + 1) / 2 * (high - low)
+    return Grasp(float(x), float(compression))
+
+
+def from_grasp(grasp: Grasp, scene: Scene) -> Array:
+    """First action (3,) that takes this grasp, or the nearest one in range."""
+    low, high = grasp_range(scene)
+    wanted = 2 * (np.array([grasp.x, grasp.compression]) - low) / (high - low) - 1
+    return np.append(np.clip(wanted, -1.0, 1.0), 0.0)
+
+
+def to_pose(action: ArrayLike, pose: ArrayLike) -> Array:
+    """Pose (4,) x, y, theta, separation that a move leads to; the separation stays. Raises as `checked`."""
+    return np.asarray(pose, np.float64) + np.append(checked(action) * STEP, 0.0)
+
+
+def from_pose(target: ArrayLike, pose: ArrayLike) -> Array:
+    """Move (3,) from one pose (4,) to another, or as far towards it as one action leads."""
+    change = (np.asarray(target, np.float64) - np.asarray(pose, np.float64))[:3]
+    change[2] = np.pi - (np.pi - change[2]) % (2 * np.pi)  # the shorter way round
+    wanted = change / STEP
+    return wanted / max(1.0, float(np.abs(wanted).max()))
