@@ -124,18 +124,20 @@ class Strip:
     def draw(self, canvas: Canvas, letters: Lettering, states: Sequence[TissueState]) -> None:
         """Curves of the states so far, at least one; bar and number of the last."""
         unit = self._unit
-        steps = np.arange(len(states)) / max(STEPS, len(states) - 1)
-        for gauge, plot, bar in zip(self.gauges, self.plots, self.bars, strict=True):
-            left, top, right, bottom = plot
+        steps = np.arange(len(states) + 1) / max(STEPS, len(states) - 1)
+        curves = []
+        for gauge, (left, top, right, bottom) in zip(self.gauges, self.plots, strict=True):
             values = [gauge.value(state) for state in states]
-            heights = bottom - gauge.share(values) * (bottom - top)
-            curve = np.column_stack((left + steps * (right - left), heights))
-            canvas.stroke(curve, rgb(VALUE), 2.0 * unit)
-            if math.isnan(values[-1]):
+            heights = bottom - gauge.share([*values, math.nan]) * (bottom - top)  # a gap after each curve
+            curves.append(np.column_stack((left + steps * (right - left), heights)))
+        canvas.stroke(np.concatenate(curves), rgb(VALUE), 2.0 * unit)
+        for gauge, curve, bar in zip(self.gauges, curves, self.bars, strict=True):
+            now = gauge.value(states[-1])
+            if math.isnan(now):
                 continue
-            colour = gauge.colour(values[-1])
-            canvas.stroke(curve[[-1, -1]], rgb(colour), 6.0 * unit)
-            canvas.box(bar[0], float(heights[-1]), bar[2], bar[3], rgb(colour))
+            left, top, right, bottom = bar
+            canvas.stroke(curve[[-2, -2]], rgb(gauge.colour(now)), 6.0 * unit)
+            canvas.box(left, float(curve[-2, 1]), right, bottom, rgb(gauge.colour(now)))
             level = bottom - gauge.limit_share * (bottom - top)
-            canvas.box(bar[0] - 2 * unit, level - unit, bar[2] + 2 * unit, level + unit, rgb(INK))
-            letters.write(gauge.text(values[-1]), bar[2], top - 12 * unit, colour, align=1.0)
+            canvas.box(left - 2 * unit, level - unit, right + 2 * unit, level + unit, rgb(INK))
+            letters.write(gauge.text(now), right, top - 12 * unit, gauge.colour(now), align=1.0)

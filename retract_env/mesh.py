@@ -34,7 +34,7 @@ class Resolution:
 RESOLUTIONS = {
     "coarse": Resolution("coarse", patch=2, edge=0.2, growth=0.7, bulk=1.0),
     "medium": Resolution("medium", patch=4, edge=0.15, growth=0.6, bulk=0.8),
-    "fine": Resolution("fine", patch=8, edge=0.12, growth=0.45, bulk=0.8),
+    "fine": Resolution("fine", patch=8, edge=0.08, growth=0.45, bulk=0.8),
     "finer": Resolution("finer", patch=12, edge=0.08, growth=0.25, bulk=0.3),
 }
 """Certificates come from "fine": within 2 % of converged strain, 5 % of converged jaw forces
@@ -142,7 +142,11 @@ def section_mesh(scene: Scene, jaw_x: float | None, resolution: Resolution) -> S
     def side_points(axis: int, level: float, low: float, high: float) -> list[float]:
         cuts = {low, high, *(c for span in sides[axis, level] for c in span)}
         if axis == 1 and ends is not None:
-            cuts |= set(ends)
+            # netgen keeps the size asked for at a point only if there is an edge of that size
+            step = resolution.edge * width
+            cuts |= set(ends) | {
+                e + side * step for e in ends for side in (-1, 1) if low < e + side * step < high
+            }
         return sorted(cuts)
 
     bottom = [(x, 0.0) for x in side_points(1, 0.0, -length, 0.0)]

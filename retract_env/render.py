@@ -15,10 +15,11 @@ os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # pygame prints a line
 
 from retract_env.gauges import Strip
 from retract_env.lettering import Lettering
+from retract_env.objectives import seen_spans
 from retract_env.palette import HIDDEN, INK, STEEL, STRAIN, VEIN_EDGE, WHITE, Bytes, rgb
 from retract_env.raster import shrunk
 from retract_env.scenery import Scenery, draw_words, view_of
-from retract_env.shapes import JawShapes, SectionTopology, bed_hits, broken, hidden_region, seen_spans
+from retract_env.shapes import JawShapes, SectionTopology, broken, hidden_region
 from retract_env.window import Window
 
 if TYPE_CHECKING:
@@ -102,21 +103,20 @@ class SectionRenderer:
         topology, view, canvas, unit = self._topology, scenery.view, scenery.canvas, scenery.unit
         scenery.begin()
         points = np.asarray(state.points, dtype=np.float64)
-        outline, sight = points[topology.outline], self.scene.line_of_sight
-        hits = bed_hits(outline, sight.camera)
-        shade = view(hidden_region(outline, hits))
-        canvas.region(shade, rgb(HIDDEN))
-        canvas.stroke(shade[-2:], rgb(HIDDEN), 1.5 * unit)
+        sight = self.scene.line_of_sight
+        outline = points[topology.outline]
+        dark = view(hidden_region(outline, sight.camera))
+        canvas.region(dark, rgb(HIDDEN))
+        canvas.stroke(dark[-2:], rgb(HIDDEN), 1.5 * unit)
         pixels = view(points)
         share = topology.smooth(state.strain) / self.scene.limits.strain
         canvas.triangles(pixels[topology.nodes], topology.faces, share, STRAIN)
         canvas.stroke(broken(pixels[topology.vein_edges]), rgb(VEIN_EDGE), 1.1 * unit)
         canvas.stroke(pixels[topology.outline], rgb(INK), 1.5 * unit)
-        pads, fingers = jaws.at(state.jaws)
-        for shapes, colour in ((fingers, STEEL), (pads, INK)):
-            for shape in shapes:
-                placed = view(shape)
-                canvas.polygon(placed, rgb(colour))
-                if jaws is self._jaws:
-                    canvas.stroke(np.vstack((placed, placed[:1])), rgb(WHITE), 0.7 * unit)
-        scenery.cover(seen_spans(hits, -self.scene.tissue.length, sight.target[0]))
+        for shapes, colour in zip(jaws.at(state.jaws), (STEEL, INK), strict=True):
+            placed = view(shapes)
+            for shape in placed:
+                canvas.polygon(shape[:-1], rgb(colour))
+            if jaws is self._jaws:
+                canvas.stroke(placed.reshape(-1, 2), rgb(WHITE), 0.7 * unit)
+        scenery.cover(seen_spans(outline, sight.camera, -self.scene.tissue.length, sight.target[0]))

@@ -56,7 +56,7 @@ def rollout(
     options: Mapping[str, Any] | None = None,
     on_step: Callable[[], None] = lambda: None,
 ) -> Rollout:
-    """Play one episode to its end. on_step is called after reset and after each step, to draw for instance."""
+    """Play one episode to its end. on_step is called after reset and after each step, say to draw."""
     observation, info = env.reset(seed=seed, options=None if options is None else dict(options))
     observations, infos = [observation], [info]
     chosen: list[NDArray[Any]] = []
@@ -95,9 +95,9 @@ class Planned(Protocol):
 class PathPolicy:
     """Plays a grasp and a jaw path from state observations.
 
-    The first action takes the grasp, where the environment has not taken it already. Each later one goes as far along
-    the path as one step's limits allow, seen from where the gripper is now, so that errors do not add up. The
-    corners that it cuts are smaller than a step. At the path's end it waits.
+    The first action takes the grasp, where the environment has not taken it already. Each later one goes as
+    far along the path as one step's limits allow, seen from where the gripper is now, so that errors do not
+    add up. At the path's end it waits.
     """
 
     def __init__(self, scene: Scene, grasp: Grasp, path: JawPath):
@@ -140,11 +140,11 @@ class PathPolicy:
 
 
 def gripper_pose(observation: NDArray[Any], scene: Scene) -> Array:
-    """Pose (4,) x, y, theta, separation of the gripper from a state observation, exact to single precision."""
-    x, y = np.float64(observation[SLICES["gripper"]]) * scene.tissue.length
-    sine, cosine = np.float64(observation[SLICES["angle"]])
-    separation = np.float64(observation[SLICES["separation"]][0]) * scene.tissue.height
-    return np.array([x, y, np.arctan2(sine, cosine), separation])
+    """Pose (4,) x, y, theta, separation of the gripper in a state observation, to single precision."""
+    seen = {name: observation[part].astype(np.float64) for name, part in SLICES.items()}
+    x, y = seen["gripper"] * scene.tissue.length
+    theta = np.arctan2(*seen["angle"])
+    return np.array([x, y, theta, seen["separation"][0] * scene.tissue.height])
 
 
 def _turned(poses: Array, here: Array) -> Array:

@@ -80,14 +80,12 @@ class Scenery:
         canvas, view, unit, sight = self.canvas, self.view, self.unit, rgb(SIGHT)
         canvas.image[view.bed :] = self._still[view.bed :]
         length, target = self.scene.tissue.length, self.scene.line_of_sight.target
-        x0, x1 = view([(-length, 0.0), target])[:, 0]
         top, bottom = view.bed + unit, view.bed + 5.5 * unit
-        canvas.box(x0, top, x1, bottom, rgb(LIMIT))
-        for span in seen:
-            a, b = view(np.column_stack((span, (0.0, 0.0))))[:, 0]
-            canvas.box(a, top, b, bottom, sight)
-        foot, head = view([(0.0, 0.0), (0.0, self.scene.tissue.height)])
-        canvas.stroke([foot, head], rgb(INK), 2.5 * unit)
+        parts = [((-length, target[0]), LIMIT), *((span, SIGHT) for span in seen.tolist())]
+        for (begin, end), colour in parts:
+            left, right = (begin - view.left) * view.scale, (end - view.left) * view.scale
+            canvas.box(left, top, right, bottom, rgb(colour))
+        canvas.stroke(view([(0.0, 0.0), (0.0, self.scene.tissue.height)]), rgb(INK), 2.5 * unit)
         canvas.stroke([self._target, self.sight_end], sight, 1.8 * unit)
         for colour, radius in ((WHITE, 5.2 * unit), (SIGHT, 4.0 * unit)):
             canvas.stroke([self._target, self._target], rgb(colour), 2 * radius)

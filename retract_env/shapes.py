@@ -1,11 +1,14 @@
-"""What a drawing of the section shows, as plain geometry in metres, and what the camera sees of the bed."""
+"""What a drawing of the section shows, as plain geometry in metres."""
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from retract_env.objectives import bed_hits
 
 if TYPE_CHECKING:
     from retract_env.mesh import SectionMesh
@@ -68,42 +71,16 @@ def broken(lines: Array) -> Array:
     return np.concatenate((lines, gaps), axis=1).reshape(-1, 2)
 
 
-def bed_hits(points: ArrayLike, camera: ArrayLike) -> Array:
-    """(n,) m, where the rays from the camera (2,) through points (n, 2) meet the bed y = 0.
-
-    Infinite, on the side where the point is, for points that are not below the camera.
-    """
-    points, (ax, ay) = np.asarray(points, dtype=np.float64), np.asarray(camera, dtype=np.float64)
-    drop = ay - points[:, 1]
-    aside = points[:, 0] - ax
-    below = drop > 0
-    return np.where(below, ax + aside * ay / np.where(below, drop, 1.0), np.copysign(np.inf, aside))
-
-
-def hidden_region(outline: Array, hits: Array) -> Array:
+def hidden_region(outline: Array, camera: ArrayLike) -> Array:
     """(r, 2) m, polygon that the flap hides from the camera: under the flap, down to the bed.
 
-    outline: (k, 2) from the foot of the fixed end along the lower surface and round; hits: (k,) its
-    `bed_hits`. The polygon ends at the first ray, from the camera's side, that does not get past the flap.
+    outline: (k, 2) m, from the foot of the fixed end along the lower surface and round. The polygon ends at
+    the first ray, from the camera's side, that does not get past the flap.
     """
-    first = int(np.argmin(np.where(np.isfinite(hits), hits, np.inf)))
+    hits = bed_hits(outline, camera)
+    hits = np.where(np.isfinite(hits), hits, np.inf)
+    first = int(np.argmin(hits))
     return np.vstack((outline[: first + 1], [(hits[first], 0.0)]))
-
-
-def seen_spans(hits: Array, near: float, far: float) -> Array:
-    """(s, 2) m, the parts of the bed from x = near to far that the camera sees past an outline.
-
-    hits: (k,) `bed_hits` of the outline, each edge of which hides what lies between its two.
-    """
-    clipped = np.clip(hits, near, far)
-    begins, ends = np.minimum(clipped[:-1], clipped[1:]), np.maximum(clipped[:-1], clipped[1:])
-    above = np.isinf(hits)
-    ends = np.where(above[:-1] & above[1:], begins, ends)  # such an edge hides nothing, wherever it is
-    order = np.argsort(begins)
-    hidden_to = np.maximum.accumulate(np.concatenate(([near], ends[order])))
-    next_begins = np.concatenate((begins[order], [far]))
-    free = next_begins > hidden_to
-    return np.column_stack((hidden_to[free], next_begins[free]))
 
 
 class JawShapes:
@@ -116,18 +93,20 @@ class JawShapes:
         radius = 0.7 * min(half, thick)
         turn = np.linspace(0.0, np.pi / 2, 5)[:, None]
         corner = radius * np.hstack((np.cos(turn), np.sin(turn))) + (half - radius, thick - radius)
-        self._pad = np.vstack(([(half, 0.0)], corner, corner[::-1] * (-1, 1), [(-half, 0.0)]))
+        pad = np.vstack(([(half, 0.0)], corner, corner[::-1] * (-1, 1), [(-half, 0.0)]))
         right = np.array([(0.3 * thick, 0.9 * thick), (0.6 * thick, reach / 2), (0.6 * thick, reach)])
-        self._finger = np.vstack((right, right[::-1] * (-1, 1)))
+        finger = np.vstack((right, right[::-1] * (-1, 1)))
+        self._finger, self._pad = (np.vstack((s, s[:1], [(np.nan, np.nan)])) for s in (finger, pad))
 
-    def at(self, jaws: ArrayLike) -> tuple[list[Array], list[Array]]:
-        """Pads and fingers, polygons (k, 2) m, convex, lower jaw first. jaws: (4,) m, x1, y1, x2, y2."""
+    def at(self, jaws: ArrayLike) -> tuple[Array, Array]:
+        """Fingers and pads, each (2, k, 2) m: convex polygons, the lower jaw's first.
+
+        A polygon's last point but one is its first again, the last is a gap. jaws: (4,) m, x1, y1, x2, y2.
+        """
         ends = np.asarray(jaws, dtype=np.float64).reshape(2, 2)
         axis = ends[1] - ends[0]
-        axis = axis / max(float(np.hypot(*axis)), 1e-12)
-        across = np.array([axis[1], -axis[0]])
-        placed = [
-            [end + shape[:, :1] * across + shape[:, 1:] * outward for shape in (self._pad, self._finger)]
-            for end, outward in zip(ends, (-axis, axis), strict=True)
-        ]
-        return [pad for pad, _ in placed], [finger for _, finger in placed]
+        axis = axis / max(math.hypot(*axis), 1e-12)
+        across = (axis[1], -axis[0])
+        frames = np.array([(across, -axis), (across, axis)])
+        place = [s[:, :1] * frames[:, :1] + s[:, 1:] * frames[:, 1:] for s in (self._finger, self._pad)]
+        return place[0] + ends[:, None], place[1] + ends[:, None]

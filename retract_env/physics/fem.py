@@ -102,7 +102,8 @@ class FemPhysics:
         start_pose, begin, target = self._pose, self._progress, progress
         # With one equilibrium to look back on, the tangent predicts: small steps first, until two or more of
         # them predict better.
-        done, part = 0.0, FIRST_PART if len(self._history) == 1 else 1.0
+        corner = len(self._history) == 1 or (progress is None and bool(self._history))
+        done, part = 0.0, FIRST_PART if corner else 1.0
         start = time.perf_counter()
         try:
             while done < 1.0:

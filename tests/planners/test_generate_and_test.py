@@ -28,7 +28,7 @@ from tests.planners.retractions import a_grasp, a_scene, veined
 
 Proposals = Sequence[tuple[Grasp, JawPath]]
 PROMPTLY = 5.0
-"""s, within which all threads have ended; what they were busy with would have taken minutes"""
+"""s, within which all threads have ended; what they were busy with would take several times as long"""
 
 
 def proposals(scene: Scene, increments: int = 12) -> Proposals:
@@ -209,10 +209,10 @@ def test_updates_show_every_candidate_going_forward(pruning: str, workers: int) 
 
 @cache
 def endless() -> Proposals:
-    """Retractions of thousands of increments."""
+    """Retractions that take thousands of increments."""
     scene = SCENES["homogeneous"]
     grasps = [a_grasp(-0.03 - 0.001 * i) for i in range(4)]
-    return [(grasp, ctc(scene, grasp, 10_000)) for grasp in grasps]
+    return [(grasp, ctc(scene, grasp, 4_000)) for grasp in grasps]
 
 
 def check_all_ends(interrupt: Callable[[Sequence[Candidate]], None], workers: int, pruning: str) -> None:

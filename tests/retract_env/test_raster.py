@@ -1,4 +1,4 @@
-"""Pixels of triangles, strokes and polygons, and what the camera sees of the bed, against plain geometry."""
+"""Pixels of triangles, strokes and polygons against plain geometry."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.spatial import Delaunay
 
 from retract_env.raster import Canvas, shrunk
-from retract_env.shapes import Array, bed_hits, hidden_region, seen_spans
+from retract_env.shapes import Array
 
 BLACK = (0, 0, 0)
 RAMP = np.repeat(np.arange(256, dtype=np.uint8)[:, None], 3, axis=1)
@@ -156,32 +156,3 @@ def test_shrinking_takes_means() -> None:
     image = np.random.default_rng(1).integers(0, 256, (12, 18, 3), dtype=np.uint8)
     means = image.reshape(4, 3, 6, 3, 3).mean(axis=(1, 3))
     assert np.array_equal(shrunk(image, 3), np.floor(means + 0.5).astype(np.uint8))
-
-
-@settings(deadline=None, max_examples=60)
-@given(seed=st.integers(0, 2**32 - 1))
-def test_the_bed_is_seen_where_rays_from_the_camera_reach_it(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    angles = np.sort(rng.uniform(0, 2 * math.pi, 12))
-    radii = rng.uniform(0.2, 1.5, 12)
-    outline = np.column_stack((radii * np.cos(angles), 1.6 + radii * np.sin(angles)))
-    outline = np.vstack((outline, outline[:1]))
-    camera = np.array([rng.uniform(-4, 4), rng.uniform(1.0, 6.0)])
-    ring = shapely.LineString(outline)
-    if shapely.Polygon(outline).distance(shapely.Point(camera)) < 0.05:
-        return  # a camera in the tissue
-    spans = seen_spans(bed_hits(outline, camera), -5.0, 5.0)
-    assert np.all(np.diff(spans.ravel()) >= 0)
-    for x in rng.uniform(-5, 5, 100):
-        if np.abs(np.append(spans.ravel(), np.inf) - x).min() < 1e-6:
-            continue
-        reached = not shapely.LineString(np.array([camera, (x, 0.0)])).intersects(ring)
-        assert reached == bool(np.any((spans[:, 0] < x) & (x < spans[:, 1])))
-
-
-def test_the_hidden_region_of_a_wall_is_its_shadow() -> None:
-    outline = np.array([(0.0, 0.0), (0.0, 1.0), (0.1, 1.0), (0.1, 0.0), (0.0, 0.0)])
-    hits = bed_hits(outline, (2.0, 2.0))  # looks to the left: the shadow reaches x = -2
-    assert np.allclose(hits, [0.0, -2.0, -1.8, 0.1, 0.0])
-    assert np.allclose(hidden_region(outline, hits), [(0.0, 0.0), (0.0, 1.0), (-2.0, 0.0)])
-    assert np.allclose(seen_spans(hits, -3.0, 1.0), [(-3.0, -2.0), (0.1, 1.0)])

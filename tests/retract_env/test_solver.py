@@ -117,16 +117,14 @@ def test_an_old_factorisation_leads_to_the_same_equilibrium(model: FlapModel, be
 
 
 def test_an_unstable_start_is_left_for_a_stable_equilibrium(model: FlapModel) -> None:
-    """Compressed lengthwise beyond buckling the tangent is indefinite; a minimum is found all the same."""
+    """Shortened by 12 % at once the tangent is indefinite; a minimum is found all the same."""
     scene = flap(length=LENGTH, gravity=0, bed=False)
     strut = FlapModel(scene, section_mesh(scene, GRASP, MESH), GRASP)
-    pushed = (
-        strut.section.points[:, 0] * -0.2
-    )  # 20 % shorter; Euler's strain of this strut is pi^2 h^2 / (12 l^2)
+    pushed = strut.section.points[:, 0] * -0.12
     u = np.zeros(strut.prism.size)
     nodes, levels = np.arange(len(pushed), dtype=np.int32), np.arange(strut.prism.levels, dtype=np.int32)
     u[strut.prism.x(nodes, levels)] = np.tile(pushed, strut.prism.levels)
-    strut.place_jaws(u, to_jaws([0.8 * GRASP, HEIGHT / 2, 0.0, HEIGHT]))
+    strut.place_jaws(u, to_jaws([0.88 * GRASP, HEIGHT / 2, 0.0, HEIGHT]))
     assert smallest(strut, u) < 0
     equilibrium = Equilibrium(strut)
     solved, _ = equilibrium.solve(u)
@@ -197,7 +195,8 @@ def test_one_layer_is_as_good_as_two_for_a_narrow_flap(monkeypatch: pytest.Monke
         monkeypatch.setattr(prism, "depth_breaks", lambda depth, *_, b=breaks: depth * np.array(b))
         model = grasped(a_flap())
         assert len(model.prism.blocks) == len(breaks) - 1
-        found.append(worst_strain(model, bent(model)))
+        squeezed = follow(Equilibrium(model), between(REST, SQUEEZED, 3), model.at_rest())[0][-1]
+        found.append(worst_strain(model, squeezed))
     assert found[0] == pytest.approx(found[1], rel=1e-3)
 
 

@@ -1,0 +1,50 @@
+"""Shapes that are drawn, in metres."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from retract_env.scene import Scene
+from retract_env.shapes import JawShapes, SectionTopology, hidden_region
+from tests.retract_env.lifted import lifted
+
+
+def test_the_hidden_region_of_a_wall_is_its_shadow() -> None:
+    wall = np.array([(0.0, 0.0), (0.0, 1.0), (0.1, 1.0), (0.1, 0.0), (0.0, 0.0)])
+    # the camera looks to the left past the top at (0, 1), to the bed at x = -2
+    assert np.allclose(hidden_region(wall, (2.0, 2.0)), [(0.0, 0.0), (0.0, 1.0), (-2.0, 0.0)])
+
+
+def test_the_outline_runs_from_the_foot_of_the_fixed_end_along_the_lower_surface_and_round() -> None:
+    lift = lifted()
+    points = lift.physics.section.points
+    outline = points[SectionTopology(lift.physics.section).outline]
+    tissue = lift.scene.tissue
+    assert np.allclose(outline[[0, -1]], 0.0)
+    steps = np.linalg.norm(np.diff(outline, axis=0), axis=1)
+    assert steps.sum() == pytest.approx(2 * (tissue.length + tissue.height))
+    far = int(np.argmin(outline[:, 0] + outline[:, 1]))  # the lower corner of the free end
+    assert np.all(outline[: far + 1, 1] == 0) and np.all(np.diff(outline[: far + 1, 0]) < 0)
+
+
+def test_strain_jumps_at_veins_and_is_not_smeared_over_them() -> None:
+    section = lifted().physics.section
+    smooth = SectionTopology(section).smooth(np.where(section.vein >= 0, 0.1, 0.4))
+    assert np.all(np.isclose(smooth, 0.1) | np.isclose(smooth, 0.4))
+    assert np.ptp(smooth) > 0.2
+
+
+@pytest.mark.parametrize("bold", [1.0, 2.0])
+@pytest.mark.parametrize("turn", [0.0, 0.7, -2.5])
+def test_jaws_stand_on_the_tissue_back_to_back(bold: float, turn: float) -> None:
+    scene: Scene = lifted().scene
+    axis = np.array([-np.sin(turn), np.cos(turn)])
+    middle = np.array([-0.02, 0.01])
+    ends = np.concatenate((middle - 0.001 * axis, middle + 0.001 * axis))
+    for shapes in JawShapes(scene, bold).at(ends):
+        along = (shapes[:, :-1] - middle) @ axis
+        assert np.all(along[0] <= -0.001 + 1e-12) and np.all(along[1] >= 0.001 - 1e-12)
+        assert np.allclose(along[0], -along[1])
+    pads = JawShapes(scene, bold).at(ends)[1][:, :-1]
+    assert np.ptp((pads - middle) @ (axis[1], -axis[0])) == pytest.approx(bold * scene.jaws.width)
