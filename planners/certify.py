@@ -26,7 +26,7 @@ from retract_env.scene import Scene
 
 REASONS = ("ok", "not_visible", "strain", "slip", "release", "diverged")
 SQUEEZE_INCREMENTS = 4
-LONGEST_STEP = 1.5e-3
+LONGEST_STEP = 2.5e-3
 """m, farthest that a jaw moves in one increment; longer steps between waypoints are divided."""
 ON_TIME = 2e-5
 """m, the moment of visibility is met within this clearance."""
@@ -112,7 +112,7 @@ class Trial:
     """One retraction under way: squeeze it, then move it. From any thread, one call at a time."""
 
     def __init__(self, scene: Scene, grasp: Grasp, path: JawPath, resolution: str = "fine"):
-        """Raises ValueError: the grasp is off the flap, the path does not begin there, resolution is unknown."""
+        """Raises ValueError: grasp off the flap, path that does not begin there, or unknown resolution."""
         if resolution not in RESOLUTIONS:
             raise ValueError(f"resolution = {resolution!r}, allowed {', '.join(RESOLUTIONS)}")
         grasp.check_inside(scene.tissue.length, scene.tissue.height)

@@ -20,7 +20,7 @@ from retract_env.scene import Scene
 
 Array = NDArray[np.float64]
 
-INCREMENTS = 48
+INCREMENTS = 24
 """Steps from the squeezed grasp to the pose where an ideal flap would clear the line of sight."""
 LONGEST = 8
 """A path that would take more than this many times `increments` grows its steps; fewer lead to the goal."""

@@ -50,13 +50,16 @@ def _pardiso() -> Any:
         else:
             _library = PyPardisoSolver().libmkl
             _library.pardiso.argtypes = None
-            # One thread a factorisation: the systems are small, and candidates run side by side.
+            # One thread a factorisation: the systems are small, and candidates run side by side. Without
+            # the sequential layer OpenMP's threads spin and slow everything down many times over.
+            _library.MKL_Set_Threading_Layer(_SEQUENTIAL)
             _library.MKL_Set_Num_Threads(1)
             # Same bits whatever the alignment of arrays.
-            _library.MKL_CBWR_Set(_CBWR_AUTO | _CBWR_STRICT) if hasattr(_library, "MKL_CBWR_Set") else None
+            _library.MKL_CBWR_Set(_CBWR_AUTO | _CBWR_STRICT)
     return _library
 
 
+_SEQUENTIAL = 1
 _CBWR_AUTO, _CBWR_STRICT = 2, 0x10000
 _SPD = 2
 _NOT_POSITIVE = -4

@@ -1,17 +1,18 @@
 """The dynamic physics: PyBullet's deformable world, a soft body of linear tetrahedra between two jaws.
 
-Bullet integrates explicitly, and a flap's slowest swing takes thousands of its steps. So moves run some 40 times
-faster than life (9 ms of Bullet's time for 2 mm of the gripper), and two things keep the flap near equilibrium:
+Bullet integrates explicitly, and a flap's slowest swing takes thousands of its steps. So moves run some 40
+times faster than life (9 ms of Bullet's time for 2 mm of the gripper), and two things keep the flap near
+equilibrium:
 
-* The flap is carried along: before Bullet's steps every node is moved as the gripper moves, less and less towards
-  the fixed end.
+* The flap is carried along: before Bullet's steps every node is moved as the gripper moves, less and less
+  towards the fixed end.
 * Kinetic damping (Cundall): whenever the kinetic energy has passed a peak, all nodes are stopped.
 
-What is left is the lag: up to 3.5 mm at the flap's tip while it falls back after having been lifted off the bed,
-then below 1.2 mm. Linear tetrahedra lock: the flap bends 15-30 % too stiffly and jaws feel two to three times the
-force. Bullet's own law, a "stable" neo-Hookean one, agrees with the certifier's where strain is small and puts the tip 0.1 mm
-elsewhere at a squeeze of a quarter. benchmarks/bullet.py measures all this. Bullet tells neither strain nor the jaws' forces: both are computed
-from the nodes' positions, as for every physics.
+What is left is the lag: up to 3.5 mm at the flap's tip while it falls back after having been lifted off the
+bed, then about 1 mm. Linear tetrahedra lock: the flap bends 15-30 % too stiffly and jaws feel two to three
+times the force. Bullet's own law, a "stable" neo-Hookean one, agrees with the certifier's where strain is
+small and puts the tip 0.1 mm elsewhere at a squeeze of a quarter. benchmarks/bullet.py measures all this.
+Bullet tells neither strain nor the jaws' forces: both are computed from the nodes' positions.
 """
 
 from __future__ import annotations
@@ -34,11 +35,11 @@ from retract_env.scene import Scene
 Array = NDArray[np.float64]
 
 STRIDE, TURN = 2e-3, float(np.radians(6.0))
-"""m and rad, farthest move of the gripper for which `BulletResolution.steps` are taken; longer moves take more."""
+"""m and rad, farthest move of the gripper in `BulletResolution.steps`; longer moves take more of them."""
 PARTS = 10
 """Parts of a stride; after each one the jaws move on and the kinetic energy is looked at."""
 COURANT = 0.7
-"""Time step over the longest stable one. Above the square root of 1/2 a stop adds energy to the fastest vibrations."""
+"""Time step over the longest stable one; above sqrt(1/2) a stop adds energy to the fastest vibrations."""
 LIFTED = 3e-4
 """m, the bed is left out while the flap is higher than this, but for what is next to the fixed end."""
 
@@ -124,7 +125,7 @@ class BulletPhysics:
         return self.settle(5e-3 if self.scene.bed else 1e-3)
 
     def settle(self, speed: float = 1e-3, longest: int = 20_000) -> TissueState:
-        """Run with the jaws at rest until no node was faster than `speed`, m/s, at a peak of the kinetic energy.
+        """Hold the jaws until no node is faster than `speed`, m/s, at a peak of the kinetic energy.
 
         longest: Bullet's time steps. Raises Diverged, also where the flap does not come to rest.
         """
@@ -164,6 +165,11 @@ class BulletPhysics:
         points, pose, progress = self._good
         u = points - self.mesh.points
         return self.flap.state(u, self.load, to_jaws(pose), progress)
+
+    @property
+    def nodes(self) -> Array:
+        """(n, 3) m, where the mesh's nodes are now."""
+        return self._good[0]
 
     def render_3d(self, width: int = 640, height: int = 480) -> NDArray[np.uint8]:
         """The flap, the jaws and the bed as Bullet's software renderer sees them, (height, width, 3)."""
@@ -221,7 +227,7 @@ class BulletPhysics:
         return float(np.sqrt((velocity**2).sum(axis=1).max()))
 
     def _carry(self, points: Array, start: Array, end: Array) -> Array:
-        """Nodes (n, 3) moved with the gripper, from the fixed end on ever more, and wholly beyond the jaws."""
+        """Nodes (n, 3) moved with the gripper, from the fixed end on ever more, wholly beyond the jaws."""
         turn = end[2] - start[2]
         rotation = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
         moved = points.copy()

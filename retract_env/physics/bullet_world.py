@@ -2,12 +2,13 @@
 
 pybullet itself is imported in bullet.py alone. What is done here follows from what Bullet 3.2.7 does:
 
-* Anchors to moving bodies are constraints, which double the cost of a step; those of a node without mass are skipped, but the node
-  still goes where its jaw goes. So held nodes are anchored first and then lose their mass.
+* Anchors to moving bodies are constraints, which double the cost of a step; those of a node without mass are
+  skipped, but the node still goes where its jaw goes. So held nodes are anchored first, then lose their mass.
 * Contact with a multibody takes twice as long as with a rigid body, which maximal coordinates ask for.
-* The soft body's solver stops at an absolute 1e-8 m/s; a millisecond as the unit of time makes that 1e-5 m/s and saves iterations.
+* The soft body's solver stops at an absolute 1e-8 of velocity: with the millisecond as the unit of time this
+  is 1e-5 m/s, and iterations are saved.
 * Velocities of single nodes cannot be set, but all can be made zero; positions can be set.
-* It prints when it loads a mesh, and crashes on bad mesh files, so it is only given files that are written here.
+* It prints when it loads a mesh, and crashes on bad mesh files: it only gets files that are written here.
 """
 
 from __future__ import annotations
@@ -32,16 +33,16 @@ from retract_env.scene import Scene
 Array = NDArray[np.float64]
 
 MARGIN = 2e-4
-"""m, Bullet's collision margin; the flap begins that far above the bed, which is taken off what is reported."""
+"""m, Bullet's collision margin: the flap begins that far above the bed; it is taken off what is reported."""
 DAMPING = 3e-5
-"""s, viscosity over elasticity: it stills what shakes within a few time steps, and leaves slow swings alone."""
+"""s, viscosity over elasticity: it stills fast shaking within a few time steps, and leaves slow swings."""
 UNIT_OF_TIME = 1e-3
 """s"""
 FLAP, JAW, BED = [0.87, 0.55, 0.5, 1.0], [0.25, 0.27, 0.32, 1.0], [0.6, 0.63, 0.68, 1.0]
 
 
 class World:
-    """A private Bullet world, SI but for time. In its own frame all lies `MARGIN` higher where there is a bed."""
+    """A private Bullet world. In its own frame all lies `MARGIN` higher, where there is a bed."""
 
     def __init__(self, pybullet: Any, scene: Scene, mesh: TetMesh, jaw_x: float, node_mass: float):
         """jaw_x: m; node_mass: kg, since Bullet gives all nodes the same."""
@@ -120,7 +121,7 @@ class World:
     def _block(self, solid: bool) -> int:
         """The bed to be seen, or also to lie on."""
         b, tissue = self._bullet, self._scene.tissue
-        half = [2 * tissue.length, tissue.height, 2 * tissue.depth]
+        half = [2 * tissue.length, tissue.height, tissue.depth + tissue.length / 4]
         seen = b.createVisualShape(b.GEOM_BOX, halfExtents=half, rgbaColor=BED, **self._at)
         felt = b.createCollisionShape(b.GEOM_BOX, halfExtents=half, **self._at) if solid else -1
         return int(
@@ -172,8 +173,9 @@ class World:
 
     def picture(self, width: int, height: int) -> NDArray[np.uint8]:
         """(height, width, 3), by Bullet's software renderer: it needs no display."""
-        b, length = self._bullet, self._scene.tissue.length
-        eye, target = [-0.9 * length, 0.6 * length, 1.1 * length], [-0.5 * length, 0.15 * length, 0.0]
+        b, length, depth = self._bullet, self._scene.tissue.length, self._scene.tissue.depth
+        target = [-0.5 * length, 0.3 * length, 0.0]
+        eye = [-0.9 * length, 0.8 * length, 1.5 * length + depth]
         view = b.computeViewMatrix(eye, target, [0.0, 1.0, 0.0])
         lens = b.computeProjectionMatrixFOV(40.0, width / height, 0.1 * length, 10 * length)
         light = [-1.0, 3.0, 2.0]

@@ -8,14 +8,15 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_matrix, hstack, identity
 
 from retract_env.fem.model import FlapModel
 from retract_env.fem.solver import Diverged, Equilibrium
 from retract_env.grasp import to_jaws, to_pose
 from retract_env.mesh import RESOLUTIONS, Resolution, section_mesh
-from retract_env.objectives import clearance, required_friction, strain, worst_mean
 from retract_env.outlines import fewer_corners
 from retract_env.physics.base import TissueState
+from retract_env.physics.measures import Measures
 from retract_env.scene import Scene
 
 Array = NDArray[np.float64]
@@ -60,7 +61,9 @@ class FemPhysics:
         start = time.perf_counter()
         self.model = FlapModel(scene, self.section, jaw_x)
         self.equilibrium = Equilibrium(self.model)
-        self._volumes = np.concatenate([b.by_element(b.weight).ravel() for b in self.model.prism.blocks])
+        # every layer has one element over each triangle of the section
+        layers = [identity(len(self.section.triangles), format="csr")] * len(self.model.prism.blocks)
+        self._measures = Measures(scene, self.section, self.model.assembly, csr_matrix(hstack(layers)))
         self.seconds["assembly"] = time.perf_counter() - start
         self._stop_when = stop_when
         self._history: list[tuple[float, Array]] = []
@@ -170,30 +173,7 @@ class FemPhysics:
         """What there is to see and to feel now."""
         start = time.perf_counter()
         model, jaws = self.model, to_jaws(self._pose)
-        per_block = [strain(s) for s in model.assembly.stretches(self._u)]
-        strains = np.concatenate([s.ravel() for s in per_block])
-        weights = [b.by_element(b.weight) for b in model.prism.blocks]
-        volume = np.sum([w.sum(axis=1) for w in weights], axis=0)
-        per_triangle = (
-            np.sum([(s * w).sum(axis=1) for s, w in zip(per_block, weights, strict=True)], axis=0) / volume
-        )
-        worst = max((float(s.max()), int(s.max(axis=1).argmax())) for s in per_block)[1]
-        axis = (jaws[2:] - jaws[:2]) / np.hypot(*(jaws[2:] - jaws[:2]))
-        normals = np.array([axis, -axis])
-        reactions = model.reactions(self._force)
-        line = self.scene.line_of_sight
         levels = [model.positions(self._u, k) for k in range(model.prism.levels)]
-        state = TissueState(
-            points=levels[0],
-            strain=per_triangle,
-            jaws=jaws,
-            reactions=reactions,
-            normals=normals,
-            max_strain=worst_mean(strains, self._volumes),
-            worst_at=self.section.corners[worst].mean(axis=0),
-            required_friction=required_friction(reactions, normals),
-            clearance=min(clearance(p, line.camera, line.target) for p in levels),
-            progress=self._progress,
-        )
+        state = self._measures.state(self._u, jaws, model.reactions(self._force), levels, self._progress)
         self.seconds["measures"] += time.perf_counter() - start
         return state

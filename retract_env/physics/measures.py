@@ -1,7 +1,7 @@
 """From displacements to what is seen and felt: the one place where every physics takes its measures.
 
-A physics that does not compute strains and jaw forces itself describes its mesh as element blocks and has both
-computed here, by the finite-element kernels.
+A physics that does not compute strains and jaw forces itself has both computed here from its nodes'
+positions, by the finite-element kernels.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ class TetrahedralFlap:
         """(n,) nodes that do not move by themselves"""
         self.held[np.concatenate([mesh.fixed, *mesh.patches])] = True
         self._free = np.repeat(~self.held, 3)
-        modulus, poisson = tissue.modulus * mesh.copies, np.full(len(mesh.cells), tissue.poisson)
+        modulus, poisson = mesh.copies * np.float64(tissue.modulus), np.full(len(mesh.cells), tissue.poisson)
         self.blocks = [linear_tetrahedra(mesh.points, mesh.cells, modulus, poisson)]
         self.assembly = Assembly(self.blocks, self._free.size, np.flatnonzero(self._free).astype(np.int32))
         self._measures = Measures(scene, mesh.section, self.assembly, mesh.share)
@@ -111,8 +111,8 @@ class TetrahedralFlap:
     def frequency(self, u: Array, mass: float, mode: Array | None, iterations: int) -> tuple[float, Array]:
         """Highest angular frequency, rad/s, of small vibrations about u (n, 3) m, by the power method.
 
-        mass: kg, of each node; mode: (3 n,) where an earlier call ended. Returns it and the mode; the frequency, a few
-        percent low after 30 iterations, is nan where an element is inside out.
+        mass: kg, of each node; mode: (3 n,) where an earlier call ended. Returns it and the mode; the
+        frequency is one percent low after 30 iterations, and nan where an element is inside out.
         """
         if mode is None:
             mode = np.random.default_rng(0).normal(size=self._free.size) * self._free

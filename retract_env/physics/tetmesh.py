@@ -1,19 +1,21 @@
 """A flap of cubes cut into five tetrahedra each, as Bullet takes it, with the section that is drawn of it.
 
-Neighbouring cubes are cut as mirror images, so faces meet. Bullet has one material a body; a stiffer vein is made by listing
-its tetrahedra several times, an odd number of times, since an even one would cancel faces of the surface.
+Neighbouring cubes are cut as mirror images, so faces meet. Bullet has one material a body; a stiffer vein is
+made by listing its tetrahedra several times, an odd number of times: an even one would cancel faces of the
+surface.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-from retract_env.mesh import SectionMesh, patch_ends
+from retract_env.mesh import MeshError, SectionMesh, patch_ends
 from retract_env.scene import Scene
 
 Array = NDArray[np.float64]
@@ -88,9 +90,10 @@ class TetMesh:
 def tet_mesh(scene: Scene, jaw_x: float, along: float, across: int, deep: int) -> TetMesh:
     """Mesh the flap so that both jaw patches end on planes of nodes.
 
-    jaw_x: m, middle of the patches; along: longest cube in x, over the flap's height; across, deep: cubes over the
-    height and over a depth up to 1.5 heights; up to four times as many over a deeper flap.
-    Raises ValueError for a grasp as `patch_ends` and for a vein stiffer than MOST_COPIES times the tissue.
+    jaw_x: m, middle of the patches; along: about the length of a cube over the flap's height; across, deep:
+    cubes over the height and over a depth up to 1.5 heights; up to four times as many over a deeper flap.
+    Raises ValueError for a grasp as `patch_ends`, MeshError for a vein stiffer than MOST_COPIES times the
+    tissue.
     """
     tissue = scene.tissue
     low, high = patch_ends(scene, jaw_x)
@@ -142,14 +145,14 @@ def tet_mesh(scene: Scene, jaw_x: float, along: float, across: int, deep: int) -
 def _lines(breaks: list[float], spacing: float) -> Array:
     """Coordinates from the first to the last break, all breaks among them, about `spacing` apart."""
     parts = [np.array(breaks[:1])]
-    for low, high in zip(breaks, breaks[1:], strict=False):
+    for low, high in pairwise(breaks):
         if high > low:
             parts.append(np.linspace(low, high, max(1, round((high - low) / spacing)) + 1)[1:])
     return np.concatenate(parts)
 
 
 def _veins(scene: Scene, centres: Array, volume: Array) -> tuple[Ints, tuple[VeinRounding, ...]]:
-    """The vein (m,) that each tetrahedron belongs to by its centre (m, 2), -1 for tissue, and what was rounded."""
+    """The vein (m,) that each tetrahedron's centre (m, 2) lies in, -1 for tissue, and what was rounded."""
     tissue = scene.tissue
     vein = np.full(len(centres), -1, np.int32)
     roundings = []
@@ -158,7 +161,7 @@ def _veins(scene: Scene, centres: Array, volume: Array) -> tuple[Ints, tuple[Vei
         copies = max(1, 2 * round((ratio - 1) / 2) + 1)
         if copies > MOST_COPIES:
             most = MOST_COPIES * tissue.modulus
-            raise ValueError(
+            raise MeshError(
                 f"tissue.veins[{i}].modulus = {v.modulus:g} Pa, allowed in Bullet up to {most:g} Pa"
             )
         outline = shapely.Polygon(v.outline)
@@ -181,7 +184,7 @@ def _faces(cells: Ints, points: Array, on: NDArray[np.bool_]) -> Ints:
 
 
 def _share(corners: Array, centres: Array, column: Ints) -> csr_matrix:
-    """Tetrahedra to the triangle of their column that their centre lies in, half and half on the edge between.
+    """Tetrahedra to the triangle of their column that their centre lies in, half to each of two.
 
     corners: (k, 3, 2) m, two triangles a column one after the other; centres: (m, 2) m; column: (m,).
     """
@@ -206,10 +209,10 @@ def _share(corners: Array, centres: Array, column: Ints) -> csr_matrix:
 def _section(
     xs: Array, ys: Array, plane: Ints, triangles: Ints, vein: Ints, ends: tuple[float, float]
 ) -> tuple[SectionMesh, Ints]:
-    """Quadratic triangles from linear ones: with the middles of edges, nodes are those of a grid twice as fine.
+    """Quadratic triangles from linear ones: with the edges' middles their nodes are those of a finer grid.
 
-    plane: (nx, ny) nodes of the mesh; triangles: (k, 3) of them. Returns the section and the two nodes that each of its nodes is
-    the middle of.
+    plane: (nx, ny) nodes of the mesh; triangles: (k, 3) of them. Returns the section and the two nodes that
+    each of its nodes is the middle of.
     """
     place = np.full((int(plane.max()) + 1, 2), -1)
     nx, ny = plane.shape

@@ -290,9 +290,9 @@ def test_ctc_ends_where_the_arc_can_go_no_further(x: float, line: Point, limit: 
 
 def test_a_nearly_flat_line_makes_longer_steps_rather_than_a_longer_path() -> None:
     scene = a_scene(0.5, 0.02)
-    path = ctc(scene, a_grasp())
+    path = ctc(scene, a_grasp(), 2 * INCREMENTS)
     radii, _ = arc_of(path)
-    assert len(path) <= 2 + LONGEST * INCREMENTS
+    assert len(path) <= 2 + LONGEST * 2 * INCREMENTS
     assert np.isclose(radii + HEIGHT / 2, radius(scene), rtol=1e-9).any()  # R_g is still a waypoint
     assert len(circular(scene, a_grasp())) <= 2 + LONGEST * INCREMENTS
 

@@ -31,7 +31,7 @@ def box(left: float, right: float, low: float, high: float) -> Array:
 
 @st.composite
 def outlines(draw: st.DrawFn) -> Array:
-    """Star-shaped outlines anywhere above the bed, the camera outside, some of them reaching past its height."""
+    """Star-shaped outlines anywhere above the bed, the camera outside, some reaching past its height."""
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     corners = int(rng.integers(3, 12))
     angle = np.sort(rng.uniform(0, math.tau, corners))
@@ -105,7 +105,7 @@ def test_an_edge_that_rises_past_the_camera_hides_the_bed_to_that_side() -> None
 def test_it_is_what_rays_one_by_one_find(outline: Array) -> None:
     n = 400
     targets = NEAR + (B[0] - NEAR) * (np.arange(n) + 0.5) / n
-    rays = shapely.linestrings([[A, (x, 0.0)] for x in targets])
+    rays = shapely.linestrings([[A.tolist(), [x, 0.0]] for x in targets.tolist()])
     seen = ~shapely.intersects(shapely.Polygon(outline), rays)
     # a shadow's edge misplaces one ray at most; an outline of 12 corners has no more than 12 shadows
     assert exposure(outline, A, B, NEAR) == pytest.approx(seen.mean(), abs=24 / n)

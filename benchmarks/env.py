@@ -1,0 +1,137 @@
+"""Speed of the environments: python -m benchmarks.env.
+
+Each line plays the best grasp of the spring model that succeeds with its CTC path, again and again, in one thread.
+Times are CPU times of that thread: steps a second in the retract phase, observation, reward and exposure
+included; reset with a grasp, jaws closed, on a flap that is new and on one that was there before; and the first
+action of an episode with `grasp="agent"`, which meshes and squeezes. A line for frames, small images and
+exposure alone ends the table.
+"""
+
+from __future__ import annotations
+
+import argparse
+import platform
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from planners.paths import ctc
+from retract_env.env import TissueRetractEnv
+from retract_env.episode import spring_grasps
+from retract_env.objectives import exposure
+from retract_env.rollout import PathPolicy
+from retract_env.scene import Scene, load_scene, sample_scene
+
+SCENES = Path(__file__).resolve().parent.parent / "configs" / "scenes"
+RUNS = (
+    ("fem", "coarse", "homogeneous"),
+    ("fem", "coarse", "random"),
+    ("fem", "coarse", "ten_veins"),
+    ("fem", "coarse", "twenty_veins"),
+    ("fem", "medium", "homogeneous"),
+    ("fem", "medium", "ten_veins"),
+    ("fem", "fine", "homogeneous"),
+    ("bullet", "coarse", "homogeneous"),
+    ("bullet", "coarse", "ten_veins"),
+    ("bullet", "medium", "homogeneous"),
+    ("bullet", "medium", "ten_veins"),
+    ("bullet", "fine", "homogeneous"),
+)
+
+
+@dataclass
+class Times:
+    """s each."""
+
+    new: list[float]
+    again: list[float]
+    grasp: list[float]
+    steps: list[float]
+
+
+def timed(work: Callable[[], object]) -> float:
+    start = time.thread_time()
+    work()
+    return time.thread_time() - start
+
+
+def scenes(name: str) -> Iterator[Scene]:
+    """The scene, over and over; or random ones."""
+    seed = 0
+    while True:
+        yield (
+            sample_scene(np.random.default_rng(seed))
+            if name == "random"
+            else load_scene(SCENES / f"{name}.yaml")
+        )
+        seed += 1
+
+
+def measure(physics: str, resolution: str, name: str, seconds: float) -> tuple[Times, TissueRetractEnv]:
+    """Play episodes for about that long."""
+    env = TissueRetractEnv(physics, grasp="spring", resolution=resolution)
+    times = Times([], [], [], [])
+    for scene in scenes(name):
+        env.close()  # forget the flap
+        options = {"scene": scene}
+        times.new.append(timed(lambda: env.reset(options=options)))
+        times.again.append(timed(lambda: env.reset(options=options)))
+        grasp = env.episode.grasp
+        assert grasp is not None
+        policy = PathPolicy(scene, grasp, ctc(scene, grasp))
+        seen, _ = env.reset(options=options)
+        over = False
+        while not over:
+            action = policy(seen)
+            start = time.thread_time()
+            seen, _, terminated, truncated, _ = env.step(action)
+            times.steps.append(time.thread_time() - start)
+            over = terminated or truncated
+        env.close()
+        seen, _ = env.reset(options=options | {"grasp": "agent"})
+        times.grasp.append(timed(lambda: env.step(policy(seen))))  # noqa: B023
+        if sum(times.steps) > seconds:
+            return times, env
+    raise AssertionError
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--seconds", type=float, default=3.0, help="of steps a line")
+    parser.add_argument("--physics", choices=("fem", "bullet"), help="only this one")
+    options = parser.parse_args(arguments)
+    print(f"{platform.machine()}, Python {platform.python_version()}, CPU time of one thread\n")
+    print("| physics | resolution | scene | nodes | reset, ms | again | first action | steps/s |")
+    print("| --- | --- | --- | --- | --- | --- | --- | --- |")
+    for physics, resolution, name in RUNS:
+        if options.physics not in (None, physics):
+            continue
+        measure(physics, resolution, name, 0.0)  # compile or load the kernels
+        times, env = measure(physics, resolution, name, options.seconds)
+        nodes = len(env.episode.now.section.points)
+        new, again, grasp = (1e3 * float(np.median(t)) for t in (times.new, times.again, times.grasp))
+        rate = len(times.steps) / sum(times.steps)
+        print(
+            f"| {physics} | {resolution} | {name} | {nodes} | {new:.0f} | {again:.0f} | {grasp:.0f} | {rate:.0f} |",
+            flush=True,
+        )
+        env.close()
+    env = TissueRetractEnv("fem", grasp="spring", render_mode="rgb_array")
+    env.reset(seed=0)
+    now, line = env.episode.now, env.episode.task.scene.line_of_sight
+    outline = now.state.points[now.section.boundary]
+    for label, work in (
+        ("frame of 640 x 480", env.render),
+        ("exposure", lambda: exposure(outline, line.camera, line.target, -0.05)),
+        ("observation", lambda: env.episode.task.observation(now)),
+    ):
+        work()
+        print(f"{label}: {1e3 * float(np.median([timed(work) for _ in range(50)])):.2f} ms")
+    env.close()
+
+
+if __name__ == "__main__":
+    main()
