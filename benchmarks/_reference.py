@@ -72,8 +72,9 @@ class Case:
     def load(self) -> tuple[Scene, JawPath]:
         scene, grasp = load_scene(SCENES / f"{self.scene}.yaml"), Grasp(self.x, self.compression)
         if self.kind.startswith("linear"):
-            return scene, paths.linear(scene, grasp, math.radians(float(self.kind.removeprefix("linear"))))
-        return scene, {"ctc": paths.ctc, "circular": paths.circular}[self.kind](scene, grasp)
+            slope = math.radians(float(self.kind.removeprefix("linear")))
+            return scene, paths.linear(scene, grasp, slope, self.increments)
+        return scene, {"ctc": paths.ctc, "circular": paths.circular}[self.kind](scene, grasp, self.increments)
 
 
 CASES = (
