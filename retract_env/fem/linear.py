@@ -101,7 +101,6 @@ class Pardiso:
         return x
 
 
-
 def _call(
     library: Any,
     handle: NDArray[np.int64],
@@ -142,7 +141,9 @@ class Qdldl:
     def factorize(self, values: Array) -> None:
         import qdldl
 
-        upper = csc_matrix((values[self._order], self._upper.indices, self._upper.indptr), shape=self._upper.shape)
+        upper = csc_matrix(
+            (values[self._order], self._upper.indices, self._upper.indptr), shape=self._upper.shape
+        )
         try:
             if self._solver is None:
                 self._solver = qdldl.Solver(upper, upper=True)
