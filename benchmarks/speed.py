@@ -1,6 +1,7 @@
 """Warm times of retractions and plans, times and memory of whole processes: python -m benchmarks.speed.
 
-Every figure is the best of the runs that fit into `--seconds`, at least one. Warm: kernels loaded, nothing else kept.
+Every figure is the best of the runs that fit into `--seconds`, at least one. Warm: kernels loaded, nothing
+else kept.
 """
 
 from __future__ import annotations
@@ -37,7 +38,8 @@ COLD = "ten_veins"
 
 
 def best(work: Callable[[], T], budget: float) -> tuple[float, float, T]:
-    """Least wall-clock, s, of the runs that fit into `budget` s, with that run's processor time, s, and result."""
+    """Least wall-clock, s, of the runs that fit into `budget` s, with that run's processor time, s, and
+    result."""
     runs: list[tuple[float, float, T]] = []
     while not runs or sum(r[0] for r in runs) + runs[-1][0] < budget:
         cpu, start = time.process_time(), time.perf_counter()
