@@ -171,6 +171,11 @@ class BulletPhysics:
         """(n, 3) m, where the mesh's nodes are now."""
         return self._good[0]
 
+    @property
+    def time_step(self) -> float:
+        """s, of Bullet, since the last move."""
+        return self._step
+
     def render_3d(self, width: int = 640, height: int = 480) -> NDArray[np.uint8]:
         """The flap, the jaws and the bed as Bullet's software renderer sees them, (height, width, 3)."""
         return self._world.picture(width, height)

@@ -92,7 +92,7 @@ def test_tissue_without_extrema_is_sampled_uniformly(veins: list[ArrayLike]) -> 
     assert len(model.stable_grasps(samples=50)) == 50  # Fig. 12
     crowded = [g.x for g in model.stable_grasps(samples=500)]
     assert len(set(crowded)) == len(crowded) < 500
-    assert (min(crowded), max(crowded)) == (-L + 5e-4, -5e-4)
+    assert (min(crowded), max(crowded)) == (-L + 5e-4, -5.5e-4)
 
 
 def test_a_vein_as_soft_as_the_tissue_is_no_vein() -> None:
@@ -111,7 +111,7 @@ def test_jaws_fit_on_the_flap() -> None:
     assert grasp.score == pytest.approx(k * (0.25 * H) ** 2 / 2, rel=1e-9)
 
     (other,) = flap(np.array(wedge) * [-1, 1] - [L, 0]).stable_grasps(jaw_width=2e-3)
-    assert other.x == -1e-3
+    assert other.x == pytest.approx(-1.1e-3)  # the patch keeps off the fixed end
     k_n = 1 / ((H - 0.003) / E + 0.003 / EV)  # the maximum at the free end's edge; at the other end a wall
     assert other.score == pytest.approx(k_n * other.compression**2 / 2, rel=1e-9)
 
