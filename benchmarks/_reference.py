@@ -146,12 +146,17 @@ def errors(track: Track, reference: dict[str, Any], length: float) -> dict[str, 
     kept = [k for k, p in enumerate(reference["progress"]) if p in track.progress]
     ours = track.at([reference["progress"][k] for k in kept])
     true = {k: np.array(v)[kept] for k, v in reference.items() if isinstance(v, list)}
-    most = max(e for p, e in zip(track.progress, track.strain, strict=True) if p <= reference["progress"][-1])
+    if track.progress[-1] >= reference["progress"][-1]:
+        until = reference["progress"][-1]
+        most = max(e for p, e in zip(track.progress, track.strain, strict=True) if p <= until)
+        strain = most / reference["max_strain"]
+    else:
+        strain = ours["strain"].max() / true["strain"].max()
     moved = ours["shape"] - true["shape"]
     far = np.stack([np.hypot(moved[:, 0], moved[:, 1]), np.hypot(moved[:, 2], moved[:, 3]), abs(moved[:, 4])])
     force = abs(ours["normal"] / true["normal"] - 1)
     values = (
-        100 * (most / reference["max_strain"] - 1),
+        100 * (strain - 1),
         100 * abs(ours["strain"] / true["strain"] - 1).max(),
         100 * force[0].max(),
         100 * force.max(),
