@@ -29,12 +29,17 @@ class Resolution:
     """how fast elements grow away from the patches, per unit length"""
     bulk: float
     """largest element over the flap's height"""
+    vein_corners: int | None = None
+    """corners at most of a vein away from the jaws, whose edges decide how many elements there are; None: as
+    drawn"""
+    true_veins: float = 0.0
+    """how far from the jaws veins are as drawn, over the flap's height"""
 
 
 RESOLUTIONS = {
-    "coarse": Resolution("coarse", patch=2, edge=0.2, growth=0.7, bulk=1.0),
-    "medium": Resolution("medium", patch=4, edge=0.15, growth=0.6, bulk=0.8),
-    "fine": Resolution("fine", patch=8, edge=0.08, growth=0.45, bulk=0.8),
+    "coarse": Resolution("coarse", patch=2, edge=0.2, growth=0.7, bulk=1.0, vein_corners=4),
+    "medium": Resolution("medium", patch=4, edge=0.15, growth=0.6, bulk=0.8, vein_corners=5, true_veins=1.0),
+    "fine": Resolution("fine", patch=8, edge=0.08, growth=0.45, bulk=0.8, vein_corners=5, true_veins=1.0),
     "finer": Resolution("finer", patch=12, edge=0.08, growth=0.25, bulk=0.3),
 }
 """Certificates come from "fine": within 2 % of converged strain, 5 % of converged jaw forces

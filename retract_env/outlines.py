@@ -47,18 +47,31 @@ def _centroid(points: ArrayLike) -> Array:
     return shapely.get_coordinates(shapely.centroid(shapely.polygons(np.asarray(points).tolist())))[0]
 
 
-def fewer_corners(scene: Scene, corners: int) -> Scene:
+def _reaches(outline: Outline, low: float, high: float) -> bool:
+    """Whether the outline has part of the flap's length in common with [low, high], m."""
+    x = [corner[0] for corner in outline]
+    return min(x) <= high and max(x) >= low
+
+
+def fewer_corners(scene: Scene, corners: int, true: tuple[float, float] | None = None) -> Scene:
     """The scene with veins of that many corners at most, one by one, where the mesher still has room.
 
-    A vein keeps its outline where it lies on the flap's own outline, or where the simpler one would come
+    true: m, part of the flap where veins stay as they are.
+    A vein also keeps its outline where it lies on the flap's own outline, or where the simpler one would come
     nearer than `MIN_GAP` to another vein or to the flap's outline, or cross itself.
     """
     veins = list(scene.tissue.veins)
-    if all(len(vein.outline) <= corners for vein in veins):
+    simplified = [
+        i
+        for i, vein in enumerate(veins)
+        if len(vein.outline) > corners and not (true and _reaches(vein.outline, *true))
+    ]
+    if not simplified:
         return scene
     inside = shapely.box(-scene.tissue.length + MIN_GAP, MIN_GAP, -MIN_GAP, scene.tissue.height - MIN_GAP)
     polygons = np.array([shapely.polygons(vein.outline) for vein in veins])
-    for i, vein in enumerate(veins):
+    for i in simplified:
+        vein = veins[i]
         outline = with_corners(vein.outline, corners)
         polygon = shapely.polygons(outline)
         near = shapely.dwithin(polygon, polygons, MIN_GAP)

@@ -13,7 +13,7 @@ from retract_env.scene import Scene
 
 Array = NDArray[np.float64]
 
-BED_STIFFNESS = 50.0
+BED_STIFFNESS = 5.0
 """Penalty of the bed per area, in E / h of the tissue."""
 
 
@@ -90,7 +90,7 @@ class FlapModel:
         """Potential energy [J] and its gradient (n,) [N], forces that hold prescribed nodes included."""
         energy, force = self.assembly.residual(u)
         force -= self.load
-        energy -= float(self.load @ u)
+        energy -= float(np.einsum("i,i", self.load, u))
         energy += float(_bed_force(u, self._bed, self._bed_stiffness, force))
         return energy, force
 

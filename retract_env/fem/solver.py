@@ -1,7 +1,12 @@
-"""Equilibrium of a flap for given jaws: Newton's method that factorises as seldom as it can."""
+"""Equilibrium of a flap for given jaws: Newton's method that factorises as seldom as it can.
+
+Between factorisations the last one is corrected by the steps taken since (L-BFGS, Nocedal and Wright 2006,
+algorithm 7.4), so that one factorisation serves several iterations and often several increments.
+"""
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 
 import numpy as np
@@ -14,13 +19,15 @@ from retract_env.physics.base import Diverged as Diverged
 
 Array = NDArray[np.float64]
 
-STRAIN_TOLERANCE = 3e-5
+STRAIN_TOLERANCE = 1e-5
 """The error that is left has no more energy than this strain has in the worst-strained 1 % of the flap's
 volume."""
 MOST_SHIFTS = 20
 """Tries to make a tangent positive definite, each with ten times the shift of the one before."""
-SLOW = 0.3
+SLOW = 0.7
 """Factorise anew once an iteration shrinks the residual by less than this."""
+MEMORY = 6
+"""Steps from which an old factorisation learns how the tangent has changed."""
 
 
 class Equilibrium:
@@ -32,6 +39,7 @@ class Equilibrium:
         self.factor: Factor = cholesky(model.assembly.indptr, model.assembly.indices)
         self.fresh = False
         self.usable = False
+        self._pairs: list[tuple[Array, Array, float]] = []
         self.counts: Counter[str] = Counter()
         tissue = model.scene.tissue
         half_volume = tissue.length * tissue.height * tissue.depth / 2
@@ -46,11 +54,12 @@ class Equilibrium:
             try:
                 self.counts["factorisations"] += 1
                 self.factor.factorize(values)
+                self._pairs = []
                 self.fresh = self.usable = True
                 return
             except NotPositiveDefinite:
                 self.counts["shifts"] += 1
-                grown = max(10 * shift, 1e-3 * float(np.abs(values[self._diagonal]).mean()))
+                grown = max(10 * shift, 1e-2 * float(np.abs(values[self._diagonal]).mean()))
                 values[self._diagonal] += grown - shift
                 shift = grown
         raise Diverged("the tangent is not finite")
@@ -76,20 +85,20 @@ class Equilibrium:
         energy, force = self.model.residual(u)
         if not np.isfinite(energy):
             raise Diverged("the first guess turns elements inside out")
-        norm = float(np.linalg.norm(force[free]))
+        norm = _norm(force[free])
         self.fresh = False
         if not self.usable:
             self.factorize(u)
         for _ in range(self.max_iterations):
             self.counts["iterations"] += 1
-            du = -self.factor.solve(force[free])
-            slope = float(force[free] @ du)
+            du = -self._descent(force[free])
+            slope = _dot(force[free], du)
             length = 1.0
             while True:
                 trial = u.copy()
                 trial[free] += length * du
                 trial_energy, trial_force = self.model.residual(trial)
-                trial_norm = float(np.linalg.norm(trial_force[free]))
+                trial_norm = _norm(trial_force[free])
                 sound = np.isfinite(trial_energy)
                 if sound and (trial_norm < 0.9 * norm or trial_energy <= energy + 1e-4 * length * slope):
                     break
@@ -105,6 +114,7 @@ class Equilibrium:
                 self.factorize(u)
                 continue
             rate = trial_norm / norm if norm > 0 else 0.0
+            self._learn(length * du, trial_force[free] - force[free])
             u, energy, force, norm = trial, trial_energy, trial_force, trial_norm
             # -slope is twice the energy of the step; what is left after it shrinks with the square of the
             # rate
@@ -115,3 +125,31 @@ class Equilibrium:
             else:
                 self.fresh = False
         raise Diverged(f"no equilibrium in {self.max_iterations} iterations")
+
+    def _descent(self, force: Array) -> Array:
+        """The tangent's inverse applied to force: as factorised, corrected by the steps since."""
+        q = force.copy()
+        weights = []
+        for s, y, rho in reversed(self._pairs):
+            weight = rho * _dot(s, q)
+            weights.append(weight)
+            q -= weight * y
+        q = self.factor.solve(q)
+        for (s, y, rho), weight in zip(self._pairs, reversed(weights), strict=True):
+            q += (weight - rho * _dot(y, q)) * s
+        return q
+
+    def _learn(self, s: Array, y: Array) -> None:
+        curvature = _dot(s, y)
+        if curvature > 0:
+            self._pairs = [*self._pairs[1 - MEMORY :], (s, y, 1 / curvature)]
+
+
+def _dot(a: Array, b: Array) -> float:
+    # Not BLAS: OpenBLAS starts its threads for vectors as long as these, and they spin on the cores where
+    # other candidates run.
+    return float(np.einsum("i,i", a, b))
+
+
+def _norm(a: Array) -> float:
+    return math.sqrt(_dot(a, a))

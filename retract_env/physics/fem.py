@@ -25,8 +25,6 @@ SMALLEST_CUT = 1 / 64
 """Part of a step below which it is not cut any further."""
 FIRST_PART = 0.3
 """Part of a step that is tried first after a corner of the path."""
-VEIN_CORNERS = {"coarse": 4}
-"""Corners of a vein at most, by resolution: what decides how coarse a mesh can be."""
 MEMORY = 4
 """Equilibria that the extrapolating predictor looks back on."""
 
@@ -54,8 +52,12 @@ class FemPhysics:
         self.scene, self.resolution, self.jaw_x = scene, resolution, jaw_x
         self.seconds: defaultdict[str, float] = defaultdict(float)
         start = time.perf_counter()
-        corners = VEIN_CORNERS.get(resolution.name)
-        drawn = scene if corners is None else fewer_corners(scene, corners)
+        near = resolution.true_veins * scene.tissue.height
+        drawn = (
+            scene
+            if resolution.vein_corners is None
+            else fewer_corners(scene, resolution.vein_corners, (jaw_x - near, jaw_x + near))
+        )
         self.section = section_mesh(drawn, jaw_x, resolution)
         self.seconds["mesh"] = time.perf_counter() - start
         start = time.perf_counter()

@@ -92,7 +92,7 @@ def test_a_flap_on_its_bed_weighs_on_it_as_much_as_it_weighs() -> None:
     bottom = model.positions(u)[section.bottom]
     far = bottom[bottom[:, 0] < -LENGTH / 2, 1]
     assert -far.mean() == pytest.approx(sunk, rel=0.05)
-    assert sunk < 2e-4 * HEIGHT
+    assert sunk < 1e-6  # m: nothing to see
 
 
 # --- The potential
