@@ -29,6 +29,9 @@ class Resolution:
     """how fast elements grow away from the patches, per unit length"""
     bulk: float
     """largest element over the flap's height"""
+    bed: float = 5.0
+    """stiffness of the bed per area, in E / h of the tissue: a soft one is found sooner, and strain and friction
+    stay the same in five digits from 0.3 to 50"""
     vein_corners: int | None = None
     """corners at most of a vein away from the jaws, whose edges decide how many elements there are; None: as
     drawn"""
@@ -37,8 +40,10 @@ class Resolution:
 
 
 RESOLUTIONS = {
-    "coarse": Resolution("coarse", patch=2, edge=0.2, growth=0.7, bulk=1.0, vein_corners=4),
-    "medium": Resolution("medium", patch=4, edge=0.15, growth=0.6, bulk=0.8, vein_corners=5, true_veins=1.0),
+    "coarse": Resolution("coarse", patch=2, edge=0.2, growth=0.7, bulk=1.0, bed=0.3, vein_corners=4),
+    "medium": Resolution(
+        "medium", patch=4, edge=0.15, growth=0.6, bulk=0.8, bed=1.0, vein_corners=5, true_veins=1.0
+    ),
     "fine": Resolution("fine", patch=8, edge=0.08, growth=0.45, bulk=0.8, vein_corners=5, true_veins=1.0),
     "finer": Resolution("finer", patch=12, edge=0.08, growth=0.25, bulk=0.3),
 }

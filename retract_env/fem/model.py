@@ -8,13 +8,10 @@ from numpy.typing import NDArray
 
 from retract_env.fem.assembly import Assembly
 from retract_env.fem.prism import Prism
-from retract_env.mesh import SectionMesh
+from retract_env.mesh import RESOLUTIONS, SectionMesh
 from retract_env.scene import Scene
 
 Array = NDArray[np.float64]
-
-BED_STIFFNESS = 5.0
-"""Penalty of the bed per area, in E / h of the tissue."""
 
 
 class FlapModel:
@@ -23,13 +20,21 @@ class FlapModel:
     Displacements u (n,) m follow the numbering of Prism. Everything refers to the half depth.
     """
 
-    def __init__(self, scene: Scene, section: SectionMesh, jaw_x: float | None, triangle_points: int = 3):
+    def __init__(
+        self,
+        scene: Scene,
+        section: SectionMesh,
+        jaw_x: float | None,
+        triangle_points: int = 3,
+        bed: float = RESOLUTIONS["fine"].bed,
+    ):
+        """bed: stiffness of its penalty per area, in E / h of the tissue."""
         tissue = scene.tissue
         self.scene, self.section, self.jaw_x = scene, section, jaw_x
         self.prism = prism = Prism(section, scene, triangle_points)
         every = np.arange(prism.levels)
         held = np.flatnonzero(prism.z <= (scene.jaws.depth or tissue.depth) / 2 * (1 + 1e-9))
-        fixed = np.concatenate(
+        self.fixed = np.concatenate(
             [prism.x(section.fixed, every), prism.y(section.fixed, every), prism.w(section.fixed, every[1:])]
         )
         self._patch_x = [prism.x(p, held) for p in section.patches]
@@ -37,7 +42,7 @@ class FlapModel:
         self._patch_rest = [np.tile(section.points[p], (len(held), 1)) for p in section.patches]
         self.driven = np.concatenate([*self._patch_x, *self._patch_y])
         prescribed = np.zeros(prism.size, bool)
-        prescribed[fixed] = True
+        prescribed[self.fixed] = True
         prescribed[self.driven] = True
         self.free = np.flatnonzero(~prescribed).astype(np.int32)
         self.assembly = Assembly(prism.blocks, prism.size, self.free)
@@ -48,10 +53,10 @@ class FlapModel:
         self.load[prism.y(nodes, every)] = -tissue.density * scene.gravity * share.ravel()
 
         on_bed = ~np.isin(section.bottom, section.patches[0])
-        bed = section.bottom[on_bed]
-        self._bed = prism.y(bed, every) if scene.bed else np.empty(0, np.int32)
+        self._bed = prism.y(section.bottom[on_bed], every) if scene.bed else np.empty(0, np.int32)
+        self._bed_modulus = bed * tissue.modulus / tissue.height
         share = prism.depth_weight[:, None] * section.bottom_length[on_bed]
-        self._bed_stiffness = BED_STIFFNESS * tissue.modulus / tissue.height * share.ravel()[: len(self._bed)]
+        self._bed_stiffness = self._bed_modulus * share.ravel()[: len(self._bed)]
         number = np.full(prism.size, -1)
         number[self.free] = np.arange(len(self.free))
         row = number[self._bed]
@@ -64,7 +69,7 @@ class FlapModel:
         u = np.zeros(self.prism.size)
         if len(self._bed):
             tissue = self.scene.tissue
-            sunk = tissue.density * self.scene.gravity * tissue.height**2 / (BED_STIFFNESS * tissue.modulus)
+            sunk = tissue.density * self.scene.gravity * tissue.height / self._bed_modulus
             every = np.arange(self.prism.levels)
             heights = self.prism.y(np.arange(len(self.section.points)), every)
             u[np.intersect1d(heights, self.free)] = -sunk

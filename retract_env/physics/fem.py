@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import defaultdict
 from collections.abc import Callable
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix, hstack, identity
 
+from retract_env.fem.beam import BeamGuess
 from retract_env.fem.model import FlapModel
 from retract_env.fem.solver import Diverged, Equilibrium
 from retract_env.grasp import to_jaws, to_pose
@@ -61,7 +63,8 @@ class FemPhysics:
         self.section = section_mesh(drawn, jaw_x, resolution)
         self.seconds["mesh"] = time.perf_counter() - start
         start = time.perf_counter()
-        self.model = FlapModel(scene, self.section, jaw_x)
+        self.model = FlapModel(scene, self.section, jaw_x, bed=resolution.bed)
+        self._beam = BeamGuess(self.model.prism, scene, jaw_x)
         self.equilibrium = Equilibrium(self.model)
         # every layer has one element over each triangle of the section
         layers = [identity(len(self.section.triangles), format="csr")] * len(self.model.prism.blocks)
@@ -139,20 +142,7 @@ class FemPhysics:
         self._history = self._history[-1:]
 
     def _solve(self, pose: Array, progress: float | None) -> None:
-        jaws = to_jaws(pose)
-        u = None
-        if progress is not None and len(self._history) > 1:
-            u = self._extrapolate(progress)
-            self.model.place_jaws(u, jaws)
-            if not np.isfinite(self.model.residual(u)[0]):
-                u = None
-        if u is None:
-            moved = self._u.copy()
-            self.model.place_jaws(moved, jaws)
-            change = moved - self._u
-            self.equilibrium.factorize(self._u)
-            u = self._u + self.equilibrium.step(self._u, change)
-            self.model.place_jaws(u, jaws)  # rotation is not linear in the step
+        u = self._guess(pose, progress)
         self._u, self._force = self.equilibrium.solve(u)
         self._pose = pose
         if progress is None:
@@ -162,6 +152,29 @@ class FemPhysics:
             earlier = [h for h in self._history if h[0] != progress]
             self._history = [*earlier[1 - MEMORY :], (progress, self._u)]
 
+    def _guess(self, pose: Array, progress: float | None) -> Array:
+        """Displacements near those of the equilibrium at this pose; infinite energy where nothing better is
+        found."""
+        jaws, u = to_jaws(pose), self._u
+        if progress is not None and len(self._history) > 1:
+            u = self._extrapolate(progress)
+            self.model.place_jaws(u, jaws)
+            if np.isfinite(self.model.residual(u)[0]):
+                return u
+        if math.isclose(pose[3], self._pose[3], rel_tol=1e-9):
+            u = self._beam.moved(self._u, self._pose, pose)
+            u[self.model.fixed] = 0.0  # not even rounding moves it
+            self.model.place_jaws(u, jaws)
+            if np.isfinite(self.model.residual(u)[0]):
+                self.equilibrium.usable = False
+                return u
+        moved = self._u.copy()
+        self.model.place_jaws(moved, jaws)
+        self.equilibrium.factorize(self._u)
+        u = self._u + self.equilibrium.step(self._u, moved - self._u)
+        self.model.place_jaws(u, jaws)  # rotation is not linear in the step
+        return u
+
     def _extrapolate(self, progress: float) -> Array:
         """Lagrange's polynomial through the last equilibria."""
         at = np.array([p for p, _ in self._history])
@@ -170,6 +183,11 @@ class FemPhysics:
             others = np.delete(at, i)
             u += known * float(np.prod((progress - others) / (p - others)))
         return u
+
+    @property
+    def displacements(self) -> Array:
+        """(n,) m, all unknowns of the last good state, in the numbering of `model.prism`."""
+        return self._u.copy()
 
     def state(self) -> TissueState:
         """What there is to see and to feel now."""

@@ -229,7 +229,7 @@ def test_a_bed_that_the_flap_has_left_does_not_matter() -> None:
     on, off = retraction(a_scene()), retraction(a_scene(bed=False))
     assert off.reason == "ok"
     lowest = [certificate.frames[0].points[:, 1].min() for certificate in (on, off)]
-    assert lowest[1] < -1e-3 < -1e-5 < lowest[0]  # without a bed the flap hangs from the jaws
+    assert lowest[1] < -1e-3 < -1e-4 < lowest[0]  # without a bed the flap hangs from the jaws
     check_same_retraction(on, off)
     np.testing.assert_allclose(on.frames[-1].points, off.frames[-1].points, rtol=0, atol=10 * ON_TIME)
 

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-from retract_env.fem.model import BED_STIFFNESS, FlapModel
+from retract_env.fem.model import FlapModel
 from retract_env.fem.solver import Equilibrium
 from retract_env.grasp import to_jaws
 from retract_env.mesh import Resolution, section_mesh
@@ -88,7 +88,7 @@ def test_a_flap_on_its_bed_weighs_on_it_as_much_as_it_weighs() -> None:
     at_fixed_end = 2 * force[prism.y(section.fixed, np.arange(prism.levels, dtype=np.int32))].sum()
     assert bed + at_fixed_end == pytest.approx(-2 * model.load.sum(), rel=1e-9)
     # far from the fixed end the flap sinks by pressure over stiffness, everywhere alike
-    sunk = scene.tissue.density * scene.gravity * HEIGHT / (BED_STIFFNESS * scene.tissue.modulus / HEIGHT)
+    sunk = scene.tissue.density * scene.gravity * HEIGHT / (MESH.bed * scene.tissue.modulus / HEIGHT)
     bottom = model.positions(u)[section.bottom]
     far = bottom[bottom[:, 0] < -LENGTH / 2, 1]
     assert -far.mean() == pytest.approx(sunk, rel=0.05)
