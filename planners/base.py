@@ -23,7 +23,7 @@ class Candidate:
     status: str = "waiting"
     """waiting, squeezing, squeezed, moving, done"""
     reason: str | None = None
-    """why it ended: a certificate's reason or "pruned"; None while under way"""
+    """why it ended: a certificate's reason, "pruned" or "unmeshable"; None while under way"""
     max_strain: float = math.nan
     """eps_max so far"""
     required_friction: float = math.nan

@@ -20,6 +20,7 @@ from retract_env import __version__
 from retract_env.fem.solver import Diverged
 from retract_env.grasp import Grasp, JawPath
 from retract_env.mesh import RESOLUTIONS, SectionMesh, patch_ends
+from retract_env.objectives import verdict
 from retract_env.physics.base import TissueState
 from retract_env.physics.fem import FemPhysics
 from retract_env.scene import Scene
@@ -147,7 +148,7 @@ class Trial:
     def squeeze(self) -> None:
         """Mesh the flap, let it rest on its bed and close the jaws; starts anew when called again.
 
-        The strain of the squeeze bounds that of the whole retraction from below.
+        The strain of the squeeze bounds that of the whole retraction from below. Raises MeshError.
         """
         self.physics = FemPhysics(self.scene, self.grasp.x, self.resolution)
         self.frames = [self.physics.state()]
@@ -209,12 +210,9 @@ class Trial:
         if state.progress >= 1:  # security is asked of closed jaws
             friction = float(state.required_friction.max())
             self.required_friction = max(self.required_friction, friction)
-        if state.max_strain > limits.strain:
-            self.reason = "strain"
-        elif math.isinf(friction):
-            self.reason = "release"
-        elif friction > limits.friction:
-            self.reason = "slip"
+        found = verdict(state.max_strain, friction, state.clearance, limits.strain, limits.friction)
+        if found != "ok":  # success is for `move` to say, once it is on time
+            self.reason = found
 
     def _time_visibility(self, hidden: TissueState) -> None:
         """Shorten the last increment until the tissue has just cleared the line (regula falsi, Illinois).
@@ -305,7 +303,8 @@ def certify(
     """Simulate one retraction and judge it.
 
     resolution: a name in RESOLUTIONS; verify: repeat it on a finer mesh and report the differences.
-    Raises ValueError for a grasp off the flap, a path that does not begin there, or an unknown resolution.
+    Raises ValueError for a grasp off the flap, a path that does not begin there, or an unknown resolution, and
+    its kind MeshError where the flap with jaws there cannot be meshed.
     """
     trial = Trial(scene, grasp, path, resolution)
     if verify and resolution not in FINER:

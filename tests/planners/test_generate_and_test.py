@@ -22,6 +22,8 @@ from planners.generate_and_test import PRUNING, generate_and_test
 from planners.paths import ctc
 from planners.spring import SpringModel
 from retract_env.grasp import Grasp, JawPath
+from retract_env.mesh import MeshError, Resolution, SectionMesh
+from retract_env.physics import fem
 from retract_env.physics.fem import FemPhysics
 from retract_env.scene import Scene
 from tests.planners.retractions import a_grasp, a_scene, veined
@@ -49,6 +51,27 @@ def planned(name: str, pruning: str = "none", workers: int = 1) -> Plan:
 
 
 # --- The winner
+
+
+@pytest.mark.parametrize("pruning", PRUNING)
+def test_a_candidate_that_cannot_be_meshed_is_left_out(pruning: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = SCENES["homogeneous"]
+    whole = planned("homogeneous")
+    unlucky = next(c.grasp.x for c in whole.candidates if c.grasp != whole.grasp)
+    mesh = fem.section_mesh
+
+    def failing(scene: Scene, jaw_x: float | None, resolution: Resolution) -> SectionMesh:
+        if jaw_x == unlucky:
+            raise MeshError("no mesh")
+        return mesh(scene, jaw_x, resolution)
+
+    monkeypatch.setattr(fem, "section_mesh", failing)
+    plan = generate_and_test(scene, proposals(scene), "test", "coarse", pruning=pruning)
+    assert plan.grasp == whole.grasp
+    left_out = {c.grasp.x for c in plan.candidates if c.reason == "unmeshable"}
+    assert left_out == {unlucky}
+    with pytest.raises(NoPlan, match="1 candidates: 1 unmeshable"):
+        generate_and_test(scene, [p for p in proposals(scene) if p[0].x == unlucky], "test", "coarse")
 
 
 @every_scene
