@@ -44,7 +44,7 @@ RESOLUTIONS = {
     "medium": Resolution(
         "medium", patch=4, edge=0.15, growth=0.6, bulk=0.8, bed=1.0, vein_corners=5, true_veins=1.0
     ),
-    "fine": Resolution("fine", patch=8, edge=0.08, growth=0.45, bulk=0.8, vein_corners=5, true_veins=1.0),
+    "fine": Resolution("fine", patch=8, edge=0.08, growth=0.3, bulk=0.6, vein_corners=5, true_veins=1.0),
     "finer": Resolution("finer", patch=12, edge=0.08, growth=0.25, bulk=0.3),
 }
 """Certificates come from "fine": within 2 % of converged strain, 5 % of converged jaw forces
