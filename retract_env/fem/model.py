@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from retract_env.fem.assembly import Assembly
 from retract_env.fem.prism import Prism
-from retract_env.mesh import RESOLUTIONS, SectionMesh
+from retract_env.mesh import RESOLUTIONS, Resolution, SectionMesh
 from retract_env.scene import Scene
 
 Array = NDArray[np.float64]
@@ -25,13 +25,13 @@ class FlapModel:
         scene: Scene,
         section: SectionMesh,
         jaw_x: float | None,
+        resolution: Resolution = RESOLUTIONS["fine"],
         triangle_points: int = 3,
-        bed: float = RESOLUTIONS["fine"].bed,
     ):
-        """bed: stiffness of its penalty per area, in E / h of the tissue."""
+        """resolution: gives the layers over the depth and the bed; the section comes with its own."""
         tissue = scene.tissue
         self.scene, self.section, self.jaw_x = scene, section, jaw_x
-        self.prism = prism = Prism(section, scene, triangle_points)
+        self.prism = prism = Prism(section, scene, triangle_points, resolution.layers)
         every = np.arange(prism.levels)
         held = np.flatnonzero(prism.z <= (scene.jaws.depth or tissue.depth) / 2 * (1 + 1e-9))
         self.fixed = np.concatenate(
@@ -54,7 +54,7 @@ class FlapModel:
 
         on_bed = ~np.isin(section.bottom, section.patches[0])
         self._bed = prism.y(section.bottom[on_bed], every) if scene.bed else np.empty(0, np.int32)
-        self._bed_modulus = bed * tissue.modulus / tissue.height
+        self._bed_modulus = resolution.bed * tissue.modulus / tissue.height
         share = prism.depth_weight[:, None] * section.bottom_length[on_bed]
         self._bed_stiffness = self._bed_modulus * share.ravel()[: len(self._bed)]
         number = np.full(prism.size, -1)

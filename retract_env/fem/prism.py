@@ -22,11 +22,15 @@ AnyInts = NDArray[np.integer[Any]]
 def depth_breaks(depth: float, height: float, jaw_depth: float | None, per_height: float = 0.8) -> Array:
     """Where layers end, m: from 0 at the plane of symmetry to depth / 2, with a break at the jaws' edge.
 
-    A flap up to 1.5 times as deep as high gets one layer, which is 0.1 % off on eps_1%. Deeper
-    ones get `per_height` layers for each height of depth.
+    A flap up to 1.5 times as deep as high gets one layer, which is 0.1 % off on eps_1%. Deeper ones get
+    `per_height` layers for each height of depth where strain is uneven over it, under narrow jaws, and half
+    as many where jaws hold the whole depth (35 mm of it with 20 veins: 0.04 % off).
     """
     half = depth / 2
-    edges = [0.0, half] if jaw_depth is None or jaw_depth >= depth else [0.0, jaw_depth / 2, half]
+    if jaw_depth is None or jaw_depth >= depth:
+        edges, per_height = [0.0, half], per_height / 2
+    else:
+        edges = [0.0, jaw_depth / 2, half]
     parts = []
     for low, high in pairwise(edges):
         count = 1 if high - low <= 0.75 * height else math.ceil((high - low) / height * per_height)

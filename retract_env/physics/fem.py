@@ -63,7 +63,7 @@ class FemPhysics:
         self.section = section_mesh(drawn, jaw_x, resolution)
         self.seconds["mesh"] = time.perf_counter() - start
         start = time.perf_counter()
-        self.model = FlapModel(scene, self.section, jaw_x, bed=resolution.bed)
+        self.model = FlapModel(scene, self.section, jaw_x, resolution)
         self._beam = BeamGuess(self.model.prism, scene, jaw_x)
         self.equilibrium = Equilibrium(self.model)
         # every layer has one element over each triangle of the section

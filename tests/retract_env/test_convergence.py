@@ -101,7 +101,7 @@ def errors(section: SectionMesh, layers: int, poisson: float) -> tuple[float, fl
     """Relative L2 errors of displacement and its gradient, solving for the manufactured solution."""
     scene = flap(length=HEIGHT, depth=2 * HEIGHT, poisson=poisson)
     # loads and errors are integrated with a rule that is not the elements' own
-    body, fine = (prism_body(scene, section, points, per_height=layers) for points in (3, 6))
+    body, fine = (prism_body(scene, section, points, per_height=2 * layers) for points in (3, 6))
     shapes = tables(section, np.linspace(0, HEIGHT, layers + 1))
     force, load = manufactured_force(poisson), np.zeros(body.size)
     for block, (xy, z, place) in zip(fine.blocks, shapes, strict=True):
