@@ -22,7 +22,8 @@ def strain(stretches: ArrayLike) -> Array:
 
     stretches: (..., 3) principal stretches. Returns (...,).
     """
-    return np.abs(np.asarray(stretches, float) - 1.0).max(axis=-1)
+    off = np.abs(np.asarray(stretches, float) - 1.0)
+    return np.maximum(np.maximum(off[..., 0], off[..., 1]), off[..., 2])
 
 
 def worst_mean(strains: ArrayLike, volumes: ArrayLike, fraction: float = WORST_FRACTION) -> float:
@@ -33,6 +34,13 @@ def worst_mean(strains: ArrayLike, volumes: ArrayLike, fraction: float = WORST_F
     """
     strains, volumes = np.ravel(strains), np.ravel(volumes)
     wanted = fraction * volumes.sum()
+    count = min(len(strains), int(3 * fraction * len(strains)) + 1)
+    while True:  # as many of the worst as have that volume; to sort them all would take far longer
+        worst = np.argpartition(strains, len(strains) - count)[len(strains) - count :]
+        if count == len(strains) or volumes[worst].sum() >= wanted:
+            break
+        count = min(len(strains), 3 * count)
+    strains, volumes = strains[worst], volumes[worst]
     order = np.argsort(strains)[::-1]
     before = np.concatenate([[0.0], np.cumsum(volumes[order])[:-1]])
     share = np.clip(wanted - before, 0.0, volumes[order])

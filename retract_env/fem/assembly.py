@@ -82,12 +82,12 @@ class Assembly:
         return out
 
     def stretches(self, u: Array) -> list[Array]:
-        """Principal stretches (m, nq, 3) of each block's elements, ascending."""
+        """Principal stretches (m, nr, 3) where each block's strain is measured, ascending."""
         out = []
         for block in self.blocks:
-            chunks, points, lanes = block.weight.shape
-            stretch = np.empty((chunks, points, 3, lanes))
-            kernels.principal_stretches(u, block.gxy, block.gz, block.dofs, stretch)
+            chunks, _, lanes = block.weight.shape
+            stretch = np.empty((chunks, len(block.mix), 3, lanes))
+            kernels.principal_stretches(u, block.gxy, block.gz, block.dofs, block.mix, stretch)
             out.append(block.by_element(stretch))
         return out
 

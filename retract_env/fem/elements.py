@@ -39,6 +39,21 @@ TRIANGLE_RULES = {
 }  # fmt: skip
 
 
+PARTS = 4
+"""Strain is measured in the middles of the PARTS^2 equal parts of a triangle. In bending, the worst-strained
+1 % of volume is a thin skin, up to 7 % more strained than the outermost of three Gauss points."""
+
+
+def equal_parts(parts: int) -> Array:
+    """(parts^2, 3) barycentric middles of the equal triangles that edges cut into so many parts make."""
+    i, j = np.indices((parts, parts))
+    up, down = i + j < parts, i + j < parts - 1
+    middles = np.concatenate(
+        [np.stack([i[up] + 1 / 3, j[up] + 1 / 3], axis=1), np.stack([i[down] + 2 / 3, j[down] + 2 / 3], axis=1)]
+    )
+    return np.column_stack([parts - middles.sum(axis=1), middles]) / parts
+
+
 @dataclass(frozen=True)
 class ElementBlock:
     """Elements of one kind, in chunks of LANES as the kernels take them (see kernels.py for the shapes)."""
@@ -54,11 +69,26 @@ class ElementBlock:
     gram_xy: Array
     gram_z: Array
     """the tangent's constant part"""
+    mix: Array
+    """(nr, nq) displacement gradients where strain is measured, from those at the points"""
+    measured: Array
+    """(m, nr) m^3, volume around each place where strain is measured"""
 
     @classmethod
-    def of(cls, gxy: Array, gz: Array, weight: Array, mu: Array, lam: Array, dofs: Ints) -> ElementBlock:
+    def of(
+        cls,
+        gxy: Array,
+        gz: Array,
+        weight: Array,
+        mu: Array,
+        lam: Array,
+        dofs: Ints,
+        mix: Array | None = None,
+        share: Array | None = None,
+    ) -> ElementBlock:
         """From arrays element by element: gxy (m, nq, 3, na), gz (m, nq, 3, nz), weight (m, nq), mu and lam
-        (m,), dofs (m, 2 na + nz)."""
+        (m,), dofs (m, 2 na + nz); mix and share (nr, nq): of gradients and volumes at the points, where strain
+        is measured, at the points themselves unless told."""
 
         def lanes(a: NDArray[Any]) -> NDArray[Any]:
             filled = np.concatenate([a, np.zeros((-len(a) % LANES, *a.shape[1:]), a.dtype)])
@@ -69,9 +99,12 @@ class ElementBlock:
         gram_xy, gram_z = np.empty((chunks, na, na, LANES)), np.empty((chunks, nz, nz, LANES))
         gram(gxy_, weight_, mu_, gram_xy)
         gram(gz_, weight_, mu_, gram_z)
+        one = np.eye(gxy.shape[1])
+        mix, share = one if mix is None else mix, one if share is None else share
         return cls(
-            gxy_, gz_, weight_, mu_, lanes(lam), lanes(np.asarray(dofs, np.int32)), len(gxy), gram_xy, gram_z
-        )
+            gxy_, gz_, weight_, mu_, lanes(lam), lanes(np.asarray(dofs, np.int32)), len(gxy), gram_xy, gram_z,
+            np.ascontiguousarray(mix), weight @ share.T,
+        )  # fmt: skip
 
     @property
     def arrays(self) -> tuple[Array, Array, Array, Array, Array, Ints]:
@@ -158,4 +191,8 @@ def extruded_block(
 
     weight = np.einsum("m,p,r->mpr", double_area, tri_weights, depth_weights).reshape(len(corners), -1)
     mu, lam = lame(modulus, poisson)
-    return ElementBlock.of(gradients(xy, dxy), gradients(z, dz), weight, mu, lam, dofs)
+    # displacements are quadratic in the section, so their gradients there are linear
+    linear = equal_parts(PARTS) @ np.linalg.pinv(points)
+    even = np.full(linear.shape, 1 / len(linear))
+    mix, share = (np.kron(in_section, np.eye(len(depth_weights))) for in_section in (linear, even))
+    return ElementBlock.of(gradients(xy, dxy), gradients(z, dz), weight, mu, lam, dofs, mix, share)

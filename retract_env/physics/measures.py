@@ -43,7 +43,7 @@ class Measures:
         """share: (section triangles, elements), which part of an element lies over or under a triangle."""
         self.scene, self.section, self.assembly = scene, section, assembly
         self._share = share
-        weights = [b.by_element(b.weight) for b in assembly.blocks]
+        weights = [b.measured for b in assembly.blocks]
         self._weights = weights
         self._points_volume = np.concatenate([w.ravel() for w in weights])
         self._volume = share @ np.concatenate([w.sum(axis=1) for w in weights])

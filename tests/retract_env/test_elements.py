@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from retract_env.fem.assembly import Assembly
 from retract_env.fem.elements import (
+    PARTS,
     TRIANGLE_RULES,
+    equal_parts,
     extruded_block,
     lame,
     quadratic_depth,
@@ -19,6 +22,7 @@ from retract_env.fem.elements import (
 )
 from retract_env.fem.prism import Prism, depth_breaks
 from retract_env.mesh import Resolution, section_mesh
+from retract_env.objectives import strain, worst_mean
 from retract_env.scene import Jaws
 from tests.retract_env.bodies import EPS, HEIGHT, Body, deformation, flap, prism_body, relax, stress
 from tests.retract_env.boxes import box_grid, hex27, isoparametric, tet10, tetrahedra
@@ -231,3 +235,45 @@ def test_ordinary_elements_pass_the_patch_test(kind: str) -> None:
     assert np.abs(force[interior(body)]).max() < 1e-11 * np.abs(force).max()
     P = stress(F, 40e3, 0.45) * np.prod(np.ptp(body.at, axis=0))
     assert virial(body, force) == pytest.approx(P, abs=1e-10 * np.abs(P).max())
+
+
+# --- Where strain is measured
+
+
+@pytest.mark.parametrize("points", TRIANGLE_RULES)
+def test_in_the_section_gradients_are_known_everywhere_from_those_at_the_points(points: int) -> None:
+    corners = np.array([[[0.0, 0.0], [0.004, 0.001], [0.001, 0.003]]])
+    middles = equal_parts(PARTS)
+    rule, _ = TRIANGLE_RULES[points]
+    rng = np.random.default_rng(1)
+    nodal = rng.normal(size=6)
+    there, here = (np.einsum("mpjt,t->pj", triangle6(at, corners)[1], nodal) for at in (middles, rule))
+    assert middles @ np.linalg.pinv(rule) @ here == pytest.approx(there, rel=1e-10)
+
+
+def test_equal_parts_are_as_many_and_balanced() -> None:
+    for parts in (1, 2, 4, 7):
+        middles = equal_parts(parts)
+        assert middles.shape == (parts**2, 3)
+        assert middles.sum(axis=1) == pytest.approx(1)
+        assert middles.mean(axis=0) == pytest.approx(1 / 3)
+        assert middles.min() == pytest.approx(1 / (3 * parts))
+
+
+@pytest.mark.parametrize("bulk", [0.9, 0.45])
+def test_the_worst_strain_of_a_bent_flap_is_that_of_its_skin(bulk: float) -> None:
+    """A flap bent to curvature c: strain c y, worst in the outermost hundredth of the height, 0.995 c h / 2."""
+    scene = flap()
+    section = section_mesh(scene, None, Resolution("test", patch=1, edge=1.0, growth=0.7, bulk=bulk))
+    prism = Prism(section, scene)
+    assembly = Assembly(prism.blocks, prism.size, np.arange(prism.size, dtype=np.int32))
+    curvature, (x, y) = 1e-3, (section.points - [0.0, HEIGHT / 2]).T
+    u = np.zeros((len(x), prism.stride))
+    for level in range(prism.levels):
+        u[:, 2 * level], u[:, 2 * level + 1] = curvature * x * y, -curvature * x**2 / 2
+    strains = np.concatenate([strain(s).ravel() for s in assembly.stretches(u.ravel())])
+    volumes = np.concatenate([block.measured.ravel() for block in prism.blocks])
+    assert volumes.sum() == pytest.approx(scene.tissue.length * HEIGHT * scene.tissue.depth / 2)
+    skin = 0.995 * curvature * HEIGHT / 2
+    # the middles of the outermost parts lie a twelfth of an element inside
+    assert skin * (1 - bulk / 3) < worst_mean(strains, volumes) <= skin * (1 + 1e-3)

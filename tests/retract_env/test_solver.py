@@ -75,7 +75,7 @@ def bent_flap(model: FlapModel) -> Array:
 
 def worst_strain(model: FlapModel, u: Array) -> float:
     strains = [strain(s).ravel() for s in model.assembly.stretches(u)]
-    weights = [b.by_element(b.weight).ravel() for b in model.prism.blocks]
+    weights = [b.measured.ravel() for b in model.prism.blocks]
     return worst_mean(np.concatenate(strains), np.concatenate(weights))
 
 
