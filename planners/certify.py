@@ -303,8 +303,8 @@ def certify(
     """Simulate one retraction and judge it.
 
     resolution: a name in RESOLUTIONS; verify: repeat it on a finer mesh and report the differences.
-    Raises ValueError for a grasp off the flap, a path that does not begin there, or an unknown resolution, and
-    its kind MeshError where the flap with jaws there cannot be meshed.
+    Raises ValueError for a grasp off the flap, a path that does not begin there, or an unknown resolution,
+    and its kind MeshError where the flap with jaws there cannot be meshed.
     """
     trial = Trial(scene, grasp, path, resolution)
     if verify and resolution not in FINER:

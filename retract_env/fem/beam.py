@@ -1,8 +1,7 @@
 """First guess of how a flap follows its jaws: as a beam, whose sections turn and stay plane.
 
-The tangent's guess is straight: where jaws turn by 6 degrees, it stretches what ought to turn by 0.5 %, and as
-much again is lost at every fine element. Turning sections by finite angles costs no factorisation and leaves
-a residual that one factorisation settles.
+The tangent's guess is straight: where jaws turn by 6 degrees, it stretches by 0.5 % what ought to turn.
+Turning sections by finite angles costs no factorisation and leaves a residual that one factorisation settles.
 """
 
 from __future__ import annotations
@@ -37,8 +36,8 @@ class BeamGuess:
     def moved(self, u: Array, start: Array, end: Array) -> Array:
         """u (n,) m after the jaws went from one pose to another, (4,) x, y, theta, separation each.
 
-        The axis turns by theta s + b s (1 - s) at the fraction s of its length and stretches evenly by e; b and
-        e are such that its end goes with the jaws.
+        The axis turns by theta s + b s (1 - s) at the fraction s of its length and stretches evenly by e; b
+        and e are such that its end goes with the jaws.
         """
         positions, s = self._level(u, 0), self._sections
         axis = np.zeros((SECTIONS, 2))

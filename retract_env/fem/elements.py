@@ -49,7 +49,10 @@ def equal_parts(parts: int) -> Array:
     i, j = np.indices((parts, parts))
     up, down = i + j < parts, i + j < parts - 1
     middles = np.concatenate(
-        [np.stack([i[up] + 1 / 3, j[up] + 1 / 3], axis=1), np.stack([i[down] + 2 / 3, j[down] + 2 / 3], axis=1)]
+        [
+            np.stack([i[up] + 1 / 3, j[up] + 1 / 3], axis=1),
+            np.stack([i[down] + 2 / 3, j[down] + 2 / 3], axis=1),
+        ]
     )
     return np.column_stack([parts - middles.sum(axis=1), middles]) / parts
 
@@ -87,8 +90,8 @@ class ElementBlock:
         share: Array | None = None,
     ) -> ElementBlock:
         """From arrays element by element: gxy (m, nq, 3, na), gz (m, nq, 3, nz), weight (m, nq), mu and lam
-        (m,), dofs (m, 2 na + nz); mix and share (nr, nq): of gradients and volumes at the points, where strain
-        is measured, at the points themselves unless told."""
+        (m,), dofs (m, 2 na + nz); mix and share (nr, nq): of gradients and volumes at the points, where
+        strain is measured, at the points themselves unless told."""
 
         def lanes(a: NDArray[Any]) -> NDArray[Any]:
             filled = np.concatenate([a, np.zeros((-len(a) % LANES, *a.shape[1:]), a.dtype)])

@@ -346,8 +346,8 @@ def _push(H, g, out):
 
 @njit(**JIT)
 def principal_stretches(u, gxy, gz, dofs, mix, out):
-    """Principal stretches, ascending, where the displacement gradient is the combination mix (nr, nq) of those
-    at the points; into `out` (c, nr, 3, LANES)."""
+    """Principal stretches, ascending, where the displacement gradient is the combination mix (nr, nq) of
+    those at the points; into `out` (c, nr, 3, LANES)."""
     at = np.empty((gxy.shape[1], 3, 3, LANES))
     F = np.empty((3, 3, LANES))
     ue = np.empty((dofs.shape[1], LANES))

@@ -22,7 +22,7 @@ from planners.generate_and_test import PRUNING, generate_and_test
 from planners.paths import ctc
 from planners.spring import SpringModel
 from retract_env.grasp import Grasp, JawPath
-from retract_env.mesh import MeshError, Resolution, SectionMesh
+from retract_env.mesh import MeshError, Resolution, SectionMesh, section_mesh
 from retract_env.physics import fem
 from retract_env.physics.fem import FemPhysics
 from retract_env.scene import Scene
@@ -58,7 +58,7 @@ def test_a_candidate_that_cannot_be_meshed_is_left_out(pruning: str, monkeypatch
     scene = SCENES["homogeneous"]
     whole = planned("homogeneous")
     unlucky = next(c.grasp.x for c in whole.candidates if c.grasp != whole.grasp)
-    mesh = fem.section_mesh
+    mesh = section_mesh
 
     def failing(scene: Scene, jaw_x: float | None, resolution: Resolution) -> SectionMesh:
         if jaw_x == unlucky:

@@ -262,7 +262,7 @@ def test_equal_parts_are_as_many_and_balanced() -> None:
 
 @pytest.mark.parametrize("bulk", [0.9, 0.45])
 def test_the_worst_strain_of_a_bent_flap_is_that_of_its_skin(bulk: float) -> None:
-    """A flap bent to curvature c: strain c y, worst in the outermost hundredth of the height, 0.995 c h / 2."""
+    """A flap bent to curvature c: strain c y, worst in the outermost hundredth, 0.995 c h / 2."""
     scene = flap()
     section = section_mesh(scene, None, Resolution("test", patch=1, edge=1.0, growth=0.7, bulk=bulk))
     prism = Prism(section, scene)
