@@ -2,33 +2,57 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from difflib import get_close_matches
+from functools import partial
 
-from planners import paths
 from planners.base import Candidate, NoPlan, Plan, Planner
-from planners.certify import Certificate, certify
+from planners.certify import Certificate, Trial, certify
+from planners.deform_closure import closure_grasps
+from planners.eased import plan_eased
+from planners.fem_gradient import plan_fem_gradient
 from planners.generate_and_test import generate_and_test
-from planners.spring import SpringModel
+from planners.light_grip import LightGrip
+from planners.proposals import PATHS, along, stable_grasps, uniform_grasps
+from retract_env.grasp import Grasp, JawPath
 from retract_env.scene import Scene
 
 __all__ = ["PLANNERS", "Candidate", "Certificate", "NoPlan", "Plan", "certify", "plan"]
 
 
-def _ctc(
+def _search(
+    name: str,
+    grasps: Callable[[Scene], Iterable[Grasp]],
+    kinds: Sequence[str],
+    trial: Callable[[Scene, Grasp, JawPath, str], Trial],
     scene: Scene,
     *,
     resolution: str,
     workers: int | None,
     on_update: Callable[[Sequence[Candidate]], None] | None,
 ) -> Plan:
-    """The paper's planner: grasps of the spring model, CTC paths. Sec. IV."""
-    grasps = SpringModel(scene.tissue).stable_grasps(scene.limits.strain, scene.jaws.width)
-    proposals = [(grasp, paths.ctc(scene, grasp)) for grasp in grasps]
-    return generate_and_test(scene, proposals, "ctc", resolution, workers, on_update)
+    """Every grasp with every path of these kinds, generated and tested. Sec. IV."""
+    proposals = along(scene, grasps(scene), kinds)
+    return generate_and_test(scene, proposals, name, resolution, workers, on_update, trial=trial)
 
 
-PLANNERS: dict[str, Planner] = {"ctc": _ctc}
+def _elastica(scene: Scene, grasp: Grasp, path: JawPath, resolution: str) -> Trial:
+    """An `Elastica`, imported when it is wanted, as it needs the extra `optimize`."""
+    from planners.adaptation import Elastica
+
+    return Elastica(scene, grasp, path, resolution)
+
+
+PLANNERS: dict[str, Planner] = {
+    # the paper's, and the paths that it compares with
+    **{kind: partial(_search, kind, stable_grasps, [kind], Trial) for kind in PATHS},
+    "exhaustive": partial(_search, "exhaustive", uniform_grasps, list(PATHS), Trial),
+    "light_grip": partial(_search, "light_grip", stable_grasps, ["ctc"], LightGrip),
+    "deform_closure": partial(_search, "deform_closure", closure_grasps, ["ctc"], Trial),
+    "eased": plan_eased,
+    "fem_gradient": plan_fem_gradient,
+    "elastica": partial(_search, "elastica", stable_grasps, ["ctc"], _elastica),
+}
 
 
 def plan(

@@ -22,6 +22,7 @@ from concurrent.futures import ThreadPoolExecutor
 from planners.base import Candidate, NoPlan, Plan
 from planners.certify import Trial
 from retract_env.grasp import Grasp, JawPath
+from retract_env.mesh import MeshError
 from retract_env.scene import Scene
 
 PRUNING = ("squeeze", "bound", "none")
@@ -36,20 +37,23 @@ def generate_and_test(
     workers: int | None = None,
     on_update: OnUpdate | None = None,
     pruning: str = "squeeze",
+    trial: Callable[[Scene, Grasp, JawPath, str], Trial] = Trial,
 ) -> Plan:
     """Certify proposals, best score first, and return the certified one with least maximum strain.
 
     The winner does not depend on pruning or workers (default: one a core): only what exceeds the best
-    certified strain is dropped, and equal strains go to the earlier candidate. Raises NoPlan where none is
-    certified, ValueError for unknown pruning or workers below 1.
+    certified strain is dropped, and equal strains go to the earlier candidate. trial: makes the trial of a
+    proposal; one that changes the grasp while it tries it has the last word on it. Raises NoPlan where none
+    is certified, ValueError for unknown pruning or workers below 1.
     """
     if pruning not in PRUNING:
         raise ValueError(f"pruning = {pruning!r}, allowed {', '.join(PRUNING)}")
-    workers = _cores() if workers is None else workers
+    workers = cores() if workers is None else workers
     if workers < 1:
         raise ValueError(f"workers = {workers}, allowed at least 1")
     start = time.perf_counter()
-    search = _Search(scene, proposals, resolution, pruning, workers, on_update)
+    trials = [trial(scene, grasp, path, resolution) for grasp, path in proposals]
+    search = _Search(trials, pruning, workers, on_update)
     with ThreadPoolExecutor(max_workers=min(workers, max(1, len(proposals)))) as pool:
         try:
             if pruning == "squeeze":
@@ -65,14 +69,14 @@ def generate_and_test(
     best = search.best()
     if best is None:
         raise NoPlan(search.candidates)
-    trial = search.trials[best]
+    chosen = search.trials[best]
     timings = {**search.seconds, "total": time.perf_counter() - start}
     return Plan(
-        scene, planner, trial.grasp, trial.path, trial.certificate(), tuple(search.candidates), timings
+        scene, planner, chosen.grasp, chosen.path, chosen.certificate(), tuple(search.candidates), timings
     )
 
 
-def _cores() -> int:
+def cores() -> int:
     """Cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
@@ -82,15 +86,13 @@ class _Search:
 
     def __init__(
         self,
-        scene: Scene,
-        proposals: Sequence[tuple[Grasp, JawPath]],
-        resolution: str,
+        trials: Sequence[Trial],
         pruning: str,
         workers: int,
         on_update: OnUpdate | None,
     ):
-        self.trials = [Trial(scene, grasp, path, resolution) for grasp, path in proposals]
-        self.candidates = [Candidate(i, grasp, path) for i, (grasp, path) in enumerate(proposals)]
+        self.trials = trials
+        self.candidates = [Candidate(i, trial.grasp, trial.path) for i, trial in enumerate(trials)]
         self.prune = pruning != "none"
         self.on_update = on_update
         self.bound = math.inf
@@ -109,7 +111,10 @@ class _Search:
         trial = self.trials[i]
         self._tell(i, "squeezing")
         start = time.perf_counter()
-        trial.squeeze()
+        try:
+            trial.squeeze()
+        except MeshError:
+            trial.reason = "unmeshable"
         self.candidates[i].seconds += time.perf_counter() - start
         self._tell(i, "done" if trial.ended else "squeezed")
         self._let_go(i)
@@ -177,6 +182,7 @@ class _Search:
 
     def _tell(self, i: int, status: str) -> None:
         trial, candidate = self.trials[i], self.candidates[i]
+        candidate.grasp, candidate.path = trial.grasp, trial.path
         candidate.status, candidate.reason = status, trial.reason if status == "done" else None
         if trial.frames:
             candidate.max_strain, candidate.clearance = trial.max_strain, trial.clearance

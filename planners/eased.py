@@ -1,0 +1,152 @@
+"""Retractions that spare the tissue: eased CTC paths, gripped as lightly as holds.
+
+On a CTC path the jaws keep the flap at constant curvature up to where they hold it. The bending moment that
+this takes passes through the grasp, as shear between jaws and tissue. Jaws that turn by only a part of the
+arc's angle carry less of it, so that less friction is needed; and what friction is left over lets them close
+less, which spares the tissue most of all: strain grows with the compression, needed friction with one over
+it. A slight pull along the flap, finally, takes strain off the side that bending compresses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from planners import paths
+from planners.base import Candidate, NoPlan, Plan
+from planners.certify import Trial
+from planners.generate_and_test import generate_and_test
+from retract_env.grasp import Grasp, JawPath
+from retract_env.mesh import SLIVER
+from retract_env.scene import Scene
+
+TURN = 0.82
+"""Part of the arc's angle that the jaws turn by."""
+STRETCH = 0.01
+"""By how much the flap is drawn out where it would clear the line, over its length."""
+RADII = (0.16, 0.20, 0.24, 0.29, 0.37, 0.45, 0.60, 0.75, 1.00)
+"""Goal radius (Eq. 6) over the length: nearer and steeper lines have smaller ones. ..."""
+PLACES = (0.31, 0.33, 0.42, 0.47, 0.53, 0.60, 0.70, 0.77, 0.80)
+"""... How far from the fixed end the grasp strains the tissue least then, over the length, ..."""
+FIRST = (0.24, 0.22, 0.145, 0.105, 0.075, 0.05, 0.035, 0.03, 0.034)
+"""... and about how much compression holds, over the height. Found by search on some hundred random flaps;
+veins matter less."""
+ASIDE = (0.0, -0.08, 0.08)
+"""Where else a grasp is sought, over the length, if none holds there."""
+BOUNDS = (0.02, 0.4)
+"""Least and greatest compression, over the height."""
+SHARE = 0.73
+"""Needed friction aimed for, over its limit: what is left bears the differences between meshes, and the errors
+of those who learn from it."""
+ENOUGH = (0.65, 0.80)
+"""Needed friction over its limit at which a compression is not corrected any more."""
+FIRMER = 1.3
+"""Times the compression that slipped is tried next."""
+MOST_TRIALS = 4
+"""Compressions tried for one grasp."""
+SEARCHED_ON = "coarse"
+INCREMENTS = 12
+"""Of the paths that are searched; the one handed in has the usual number."""
+
+
+def eased(scene: Scene, grasp: Grasp, increments: int = paths.INCREMENTS) -> JawPath:
+    """CTC with the jaws turned by a part `TURN` of the arc's angle, drawn out from the fixed end: "eased".
+
+    The stretch grows with the turn, up to where an ideal flap would clear the line, and stays from there on.
+    Raises ValueError as `ctc`.
+    """
+    poses = paths.ctc(scene, grasp, increments).poses.copy()
+    line, height = scene.line_of_sight, scene.tissue.height
+    goal = paths.arc_turn(1 / paths.goal_radius(line.camera, line.target), -grasp.x, height)
+    fixed = np.array([0.0, height / 2])
+    factor = 1 + STRETCH * np.minimum(-poses[:, 2:3] / goal, 1.0)
+    poses[:, :2] = fixed + factor * (poses[:, :2] - fixed)
+    poses[:, 2] *= TURN
+    return JawPath.from_poses(poses, "eased")
+
+
+@dataclass
+class _Search:
+    """Trials on the coarse mesh, all of them and those that hold."""
+
+    scene: Scene
+    tried: list[Candidate] = field(default_factory=list)
+    holds: list[Candidate] = field(default_factory=list)
+
+    def attempt(self, x: float, compression: float) -> Candidate:
+        """Retract from x, m, with a compression over the height."""
+        grasp = Grasp(x, compression * self.scene.tissue.height)
+        trial = Trial(self.scene, grasp, eased(self.scene, grasp, INCREMENTS), SEARCHED_ON)
+        trial.squeeze()
+        if not trial.ended:
+            trial.move()
+        candidate = Candidate(
+            len(self.tried),
+            grasp,
+            trial.path,
+            "done",
+            trial.reason,
+            trial.max_strain,
+            trial.required_friction,
+            trial.clearance,
+            len(trial.frames) - 1,
+        )
+        self.tried.append(candidate)
+        return candidate
+
+
+def plan_eased(
+    scene: Scene,
+    *,
+    resolution: str,
+    workers: int | None,
+    on_update: Callable[[Sequence[Candidate]], None] | None,
+) -> Plan:
+    """Search on the coarse mesh, then hand in the first that is certified. Raises NoPlan."""
+    searched = search(scene)
+    tried = list(searched.tried)
+    for held in sorted(searched.holds, key=lambda c: (c.max_strain, c.index)):
+        proposal = held.grasp, eased(scene, held.grasp)
+        try:
+            plan = generate_and_test(scene, [proposal], "eased", resolution, workers, on_update)
+        except NoPlan as none:
+            tried += none.candidates
+        else:
+            return replace(plan, candidates=(*tried, *plan.candidates))
+    raise NoPlan(tried)
+
+
+def search(scene: Scene) -> _Search:
+    """Try compressions on the coarse mesh, and another place where none holds."""
+    tissue, line, width = scene.tissue, scene.line_of_sight, scene.jaws.width
+    radius = paths.goal_radius(line.camera, line.target) / tissue.length
+    place, first = (float(np.interp(radius, RADII, values)) for values in (PLACES, FIRST))
+    low, high = -tissue.length + width / 2, -(0.5 + SLIVER) * width * (1 + 1e-6)
+    under_way = _Search(scene)
+    for aside in ASIDE:
+        _compressions(under_way, float(np.clip(-(place + aside) * tissue.length, low, high)), first)
+        if under_way.holds:
+            break
+    return under_way
+
+
+def _compressions(search: _Search, x: float, first: float) -> None:
+    """Compressions at x, m, each corrected by the friction that the one before needed."""
+    (low, high), compression = BOUNDS, first
+    for _ in range(MOST_TRIALS):
+        candidate = search.attempt(x, compression)
+        share = candidate.required_friction / search.scene.limits.friction
+        if candidate.reason == "ok":
+            if share <= ENOUGH[1]:
+                search.holds.append(candidate)
+            if ENOUGH[0] <= share <= ENOUGH[1] or (compression == low and share < ENOUGH[0]):
+                return
+        elif candidate.reason not in ("slip", "release"):
+            return
+        # needed friction goes with one over the compression; a slip tells only that it was too little
+        factor = share / SHARE if candidate.reason == "ok" else FIRMER
+        if compression == high and factor > 1:
+            return
+        compression = float(np.clip(compression * factor, low, high))

@@ -1,0 +1,221 @@
+"""The lightest grip that holds: it meets the friction limit with its margin, and a lighter one does not."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import pytest
+
+from planners import plan
+from planners.base import Plan
+from planners.certify import certify
+from planners.generate_and_test import generate_and_test
+from planners.light_grip import MARGIN, MOST_TRIALS, TOLERANCE, LightGrip, Outcome, least_compression
+from planners.paths import circular, ctc
+from planners.proposals import PATHS, along
+from retract_env.grasp import Grasp, JawPath
+from retract_env.scene import Scene
+from tests.planners.retractions import MOTIONS, a_grasp, a_scene, poses
+from tests.retract_env.bodies import HEIGHT
+
+FRICTION = 0.5
+ALLOWED = (1 - MARGIN) * FRICTION
+LIGHTER = 1 - 2 * (MARGIN + TOLERANCE)
+"""Friction grows at least as fast as compression falls, by more than what margin and tolerance leave."""
+
+
+# --- The search, on laws
+
+
+class Law:
+    """Friction as a power of compression, m; limits broken by grips firmer than `torn`."""
+
+    def __init__(self, scale: float, power: float, torn: float = math.inf, why: str = "strain"):
+        self.scale, self.power, self.torn, self.why = scale, power, torn, why
+        self.asked: list[float] = []
+
+    def __call__(self, delta: float) -> Outcome:
+        self.asked.append(delta)
+        friction = (self.scale / delta) ** self.power
+        if delta > self.torn:
+            return Outcome(friction / 2, self.why)  # it broke before the friction was at its height
+        return Outcome(friction, "ok")
+
+
+@pytest.mark.parametrize("power", [0.6, 1.0, 1.4, 2.5])
+@pytest.mark.parametrize("scale", [0.1e-3, 0.3e-3, 0.9e-3])
+def test_the_search_ends_just_below_what_is_allowed(scale: float, power: float) -> None:
+    law = Law(scale, power)
+    delta, reason = least_compression(law, 1.1e-3, 4e-3, ALLOWED)
+    assert reason == "ok"
+    assert law.asked[-1] == delta
+    assert len(law.asked) <= MOST_TRIALS
+    assert ALLOWED * (1 - TOLERANCE) <= law(delta).friction <= ALLOWED
+
+
+def test_what_has_the_friction_at_once_is_tried_once() -> None:
+    law = Law(ALLOWED * 1.0e-3 * (1 - TOLERANCE / 2), 1.0)
+    assert least_compression(law, 1.0e-3, 4e-3, ALLOWED) == (1.0e-3, "ok")
+    assert len(law.asked) == 1
+
+
+@pytest.mark.parametrize("why", ["strain", "diverged"])
+def test_where_every_grip_that_holds_breaks_another_limit_it_says_which(why: str) -> None:
+    law = Law(0.6e-3, 1.0, torn=1.0e-3, why=why)  # holds from 1.26 mm on
+    assert least_compression(law, 1.1e-3, 4e-3, ALLOWED)[1] == why
+
+
+def test_a_grip_that_slips_and_tears_ends_the_search() -> None:
+    """A lighter one slips more, a firmer one tears sooner."""
+    calls = []
+
+    def attempt(delta: float) -> Outcome:
+        calls.append(delta)
+        return Outcome(0.9, "strain")
+
+    assert least_compression(attempt, 1.1e-3, 4e-3, ALLOWED) == (1.1e-3, "strain")
+    assert len(calls) == 1
+
+
+@pytest.mark.parametrize("reason", ["not_visible", "pruned"])
+def test_what_does_not_depend_on_the_grip_ends_the_search(reason: str) -> None:
+    assert least_compression(lambda _: Outcome(0.2, reason), 1e-3, 4e-3, ALLOWED) == (1e-3, reason)
+
+
+def test_jaws_that_pull_are_closed_further() -> None:
+    law = Law(0.3e-3, 1.0)
+
+    def attempt(delta: float) -> Outcome:
+        return Outcome(math.inf, "release") if delta < 0.5e-3 else law(delta)
+
+    delta, reason = least_compression(attempt, 0.2e-3, 4e-3, ALLOWED)
+    assert reason == "ok"
+    assert delta == pytest.approx(0.3e-3 / ALLOWED, rel=TOLERANCE)
+
+
+# --- On the finite elements
+
+
+def scene(friction: float = FRICTION) -> Scene:
+    return a_scene(friction=friction)
+
+
+@cache
+def lightest(kind: str, x: float = -0.03) -> LightGrip:
+    grasp = a_grasp(x)
+    trial = LightGrip(scene(), grasp, PATHS[kind](scene(), grasp), "coarse")
+    trial.squeeze()
+    trial.move()
+    return trial
+
+
+every_path = pytest.mark.parametrize("kind", ["ctc", "circular"])
+
+
+@every_path
+def test_it_is_certified_with_its_margin(kind: str) -> None:
+    trial = lightest(kind)
+    certificate = trial.certificate()
+    assert certificate.certified
+    assert ALLOWED * (1 - TOLERANCE) <= certificate.required_friction <= ALLOWED
+    assert certificate.friction_limit == FRICTION
+    assert certificate.scene_hash == scene().hash
+    assert certify(scene(), trial.grasp, trial.path, "coarse").to_json() == certificate.to_json()
+
+
+@every_path
+def test_a_lighter_grip_slips(kind: str) -> None:
+    grasp = Grasp(lightest(kind).grasp.x, LIGHTER * lightest(kind).grasp.compression)
+    assert certify(scene(), grasp, PATHS[kind](scene(), grasp), "coarse").reason == "slip"
+
+
+@every_path
+def test_a_firmer_grip_strains_more(kind: str) -> None:
+    """The paper's compression, Eq. 5, holds as well and costs strain."""
+    grasp = a_grasp(lightest(kind).grasp.x)
+    paper = certify(scene(), grasp, PATHS[kind](scene(), grasp), "coarse")
+    assert paper.certified
+    assert paper.required_friction < lightest(kind).required_friction
+    assert paper.max_strain > lightest(kind).max_strain
+
+
+def test_a_grasp_that_slips_by_eq_5_is_gripped_more_firmly() -> None:
+    grasp = a_grasp(-0.015)
+    assert certify(scene(), grasp, ctc(scene(), grasp), "coarse").reason == "slip"
+    trial = lightest("ctc", -0.015)
+    assert trial.certificate().certified
+    assert trial.grasp.compression > grasp.compression
+
+
+def test_a_grasp_without_a_grip_says_why() -> None:
+    """So near to the fixed end the flap is bent so sharply that what holds it tears it."""
+    trial = lightest("ctc", -0.008)
+    assert trial.reason == "strain"
+
+
+def test_where_it_is_searched_from_does_not_matter() -> None:
+    found = []
+    for part in (0.05, 0.4):
+        grasp = a_grasp(-0.03, part)
+        trial = LightGrip(scene(), grasp, ctc(scene(), grasp), "coarse")
+        trial.squeeze()
+        trial.move()
+        found.append(trial.grasp.compression / HEIGHT)
+    assert found[0] == pytest.approx(found[1], rel=2 * TOLERANCE)
+
+
+def test_it_knows_only_paths_that_it_can_make_again() -> None:
+    grasp = a_grasp()
+    path = poses(grasp, (-0.025, 0.01, 0.0, HEIGHT - grasp.compression))
+    with pytest.raises(ValueError, match=r"path.kind = 'by hand', allowed ctc"):
+        LightGrip(scene(), grasp, path)
+
+
+def test_paths_of_every_kind_can_be_made_again() -> None:
+    grasp = a_grasp()
+    for motion in MOTIONS.values():
+        path = motion(scene(), grasp)
+        assert PATHS[path.kind](scene(), grasp) == path
+
+
+# --- As a planner
+
+
+def proposals() -> list[tuple[Grasp, JawPath]]:
+    return along(scene(), [a_grasp(x) for x in (-0.02, -0.03, -0.04)], ["ctc"])
+
+
+@cache
+def planned(pruning: str, workers: int) -> Plan:
+    return generate_and_test(
+        scene(), proposals(), "light_grip", "coarse", workers, pruning=pruning, trial=LightGrip
+    )
+
+
+@pytest.mark.parametrize(("pruning", "workers"), [("bound", 1), ("squeeze", 1), ("squeeze", 2)])
+def test_the_winner_depends_neither_on_pruning_nor_on_threads(pruning: str, workers: int) -> None:
+    assert planned(pruning, workers).certificate.to_json() == planned("none", 1).certificate.to_json()
+
+
+def test_the_plan_holds_the_grips_that_were_found() -> None:
+    found = planned("none", 1)
+    assert {c.reason for c in found.candidates} == {"ok"}
+    assert all(c.grasp.compression != a_grasp().compression for c in found.candidates)
+    (chosen,) = (c for c in found.candidates if c.grasp is found.grasp)
+    assert chosen.max_strain == min(c.max_strain for c in found.candidates)
+    again = certify(scene(), found.grasp, found.path, "coarse")
+    assert again.to_json() == found.certificate.to_json()
+
+
+def test_it_beats_the_paper_from_the_same_grasps() -> None:
+    paper = generate_and_test(scene(), proposals(), "ctc", "coarse", 1)
+    assert planned("squeeze", 1).certificate.max_strain < paper.certificate.max_strain
+
+
+@pytest.mark.slow
+def test_it_is_a_planner_by_name() -> None:
+    found = plan(scene(), "light_grip", "coarse", workers=1)
+    assert found.planner == "light_grip"
+    assert found.certificate.max_strain <= planned("none", 1).certificate.max_strain * (1 + TOLERANCE)
+    assert circular(scene(), found.grasp) != found.path

@@ -1,0 +1,69 @@
+"""Grasps and paths that are tried: the paper's four paths, uniform grasps on any tissue."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from planners import PLANNERS
+from planners.proposals import PATHS, along, stable_grasps, uniform_grasps
+from planners.spring import SpringModel, optimal_compression
+from tests.planners.retractions import a_scene, veined
+from tests.retract_env.bodies import HEIGHT, LENGTH
+
+SCENES = {"homogeneous": a_scene(), "veined": veined()}
+every_scene = pytest.mark.parametrize("name", SCENES)
+
+
+def test_paths_go_by_the_name_that_they_bear() -> None:
+    grasp = stable_grasps(a_scene())[0]
+    for name, path_of in PATHS.items():
+        assert path_of(a_scene(), grasp).kind == name
+    assert set(PATHS) <= set(PLANNERS)
+
+
+@every_scene
+def test_every_grasp_goes_along_every_path(name: str) -> None:
+    scene = SCENES[name]
+    grasps = stable_grasps(scene)
+    proposals = along(scene, grasps)
+    assert [(grasp, path.kind) for grasp, path in proposals] == [(g, kind) for g in grasps for kind in PATHS]
+    assert all(path == PATHS[path.kind](scene, grasp) for grasp, path in proposals)
+
+
+@every_scene
+def test_uniform_grasps_are_evenly_spaced_with_their_jaws_on_the_flap(name: str) -> None:
+    scene = SCENES[name]
+    x = np.array([grasp.x for grasp in uniform_grasps(scene, 20)])
+    width = scene.jaws.width
+    np.testing.assert_allclose(x[1:-1], -LENGTH * np.arange(19, 1, -1) / 20)
+    assert x[0] == pytest.approx(-LENGTH + width / 2)
+    assert x.max() < -width / 2
+
+
+def test_on_homogeneous_tissue_they_are_those_of_the_spring_model() -> None:
+    scene = a_scene()
+    model = SpringModel(scene.tissue).stable_grasps(jaw_width=scene.jaws.width, samples=20)
+    uniform = uniform_grasps(scene, 20)
+    assert uniform == sorted(model, key=lambda grasp: grasp.x)
+    assert all(grasp.compression == pytest.approx(HEIGHT / 4) for grasp in uniform)
+
+
+def test_compression_balances_the_energies_of_the_basin() -> None:
+    """Eq. 5, with the stiffness at the grasp and the lower of the maxima beside it."""
+    scene = veined()
+    model = SpringModel(scene.tissue)
+    middle = next(b for b in model.basins() if b.left < -0.025 < b.right)  # between the two veins
+    for grasp in uniform_grasps(scene, 100):
+        k = float(model.k_eq(grasp.x))
+        if middle.left < grasp.x < middle.right and k < middle.k_n:
+            delta = optimal_compression(k, middle.k_n, HEIGHT, 0.5)
+            assert grasp.compression == pytest.approx(float(delta))
+            assert grasp.score == pytest.approx(middle.k_n * float(delta) ** 2 / 2)
+        # U_L = U_n: no grasp closes by more than half of what the strain limit leaves
+        assert 0 < grasp.compression <= HEIGHT / 4 * (1 + 1e-12)
+
+
+def test_no_grasps_are_refused() -> None:
+    with pytest.raises(ValueError, match="samples = 0"):
+        uniform_grasps(a_scene(), 0)
