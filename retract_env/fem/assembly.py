@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from retract_env.fem import kernels
 from retract_env.fem.elements import ElementBlock
+from retract_env.fem.stretches import principal_stretches
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -87,7 +88,7 @@ class Assembly:
         for block in self.blocks:
             chunks, _, lanes = block.weight.shape
             stretch = np.empty((chunks, len(block.mix), 3, lanes))
-            kernels.principal_stretches(u, block.gxy, block.gz, block.dofs, block.mix, stretch)
+            principal_stretches(u, block.gxy, block.gz, block.dofs, block.mix, stretch)
             out.append(block.by_element(stretch))
         return out
 

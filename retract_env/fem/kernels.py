@@ -1,4 +1,4 @@
-"""Compiled kernels: energy, residual, tangent and stretches of the logarithmic neo-Hookean solid.
+"""Compiled kernels: energy, residual and tangent of the logarithmic neo-Hookean solid.
 
 The material is W(F) = mu/2 (tr F^T F - 3) - mu ln J + lambda/2 (ln J)^2, whose first Piola-Kirchhoff stress
 is P = mu F + (lambda ln J - mu) F^-T. With the spatial gradients g = F^-T G of the shape functions its
@@ -35,14 +35,14 @@ JIT = {
 
 
 @njit(**JIT)
-def _gather(u, dofs, ue):
+def gather(u, dofs, ue):
     for a in range(dofs.shape[0]):
         for l in range(LANES):
             ue[a, l] = u[dofs[a, l]]
 
 
 @njit(**JIT)
-def _gradient(ue, gx, gz, F):
+def gradient(ue, gx, gz, F):
     """Displacement gradient (3, 3, LANES) at one point."""
     na = gx.shape[1]
     nz = gz.shape[1]
@@ -71,7 +71,7 @@ def _gradient(ue, gx, gz, F):
 @njit(**JIT)
 def _deformation(ue, gx, gz, F, H, J):
     """F = 1 + grad u, H = F^-T and J = det F; returns whether no element is inverted."""
-    _gradient(ue, gx, gz, F)
+    gradient(ue, gx, gz, F)
     sound = True
     for l in range(LANES):
         a = F[0, 0, l] + 1.0
@@ -136,7 +136,7 @@ def residual(u, gxy, gz, weight, mu, lam, dofs, out):
     re = np.empty((nd, LANES))
     energy = 0.0
     for c in range(gxy.shape[0]):
-        _gather(u, dofs[c], ue)
+        gather(u, dofs[c], ue)
         re[:] = 0.0
         m = mu[c]
         k = lam[c]
@@ -178,14 +178,14 @@ def tangent_times(u, v, gxy, gz, weight, mu, lam, dofs, out):
     re = np.empty((nd, LANES))
     M = np.empty((3, 3))
     for c in range(gxy.shape[0]):
-        _gather(v, dofs[c], ve)
+        gather(v, dofs[c], ve)
         if not ve.any():
             continue
-        _gather(u, dofs[c], ue)
+        gather(u, dofs[c], ue)
         re[:] = 0.0
         for q in range(gxy.shape[1]):
             _deformation(ue, gxy[c, q], gz[c, q], F, H, J)
-            _gradient(ve, gxy[c, q], gz[c, q], D)
+            gradient(ve, gxy[c, q], gz[c, q], D)
             for l in range(LANES):
                 trace = 0.0
                 for i in range(3):
@@ -245,7 +245,7 @@ def tangent(u, gxy, gz, weight, mu, lam, dofs, gram_xy, gram_z, target, values):
     wc = np.empty((nq, LANES))
     rows = np.empty((na, LANES))
     for c in range(gxy.shape[0]):
-        _gather(u, dofs[c], ue)
+        gather(u, dofs[c], ue)
         for q in range(nq):
             _deformation(ue, gxy[c, q], gz[c, q], F, H, J)
             for l in range(LANES):
@@ -342,65 +342,3 @@ def _push(H, g, out):
             s = out[i, a]
             for l in range(LANES):
                 s[l] = h0[l] * g0[l] + h1[l] * g1[l] + h2[l] * g2[l]
-
-
-@njit(**JIT)
-def principal_stretches(u, gxy, gz, dofs, mix, out):
-    """Principal stretches, ascending, where the displacement gradient is the combination mix (nr, nq) of
-    those at the points; into `out` (c, nr, 3, LANES)."""
-    at = np.empty((gxy.shape[1], 3, 3, LANES))
-    F = np.empty((3, 3, LANES))
-    ue = np.empty((dofs.shape[1], LANES))
-    for c in range(gxy.shape[0]):
-        _gather(u, dofs[c], ue)
-        for q in range(gxy.shape[1]):
-            _gradient(ue, gxy[c, q], gz[c, q], at[q])
-        for r in range(mix.shape[0]):
-            F[:] = 0.0
-            for q in range(mix.shape[1]):
-                part = mix[r, q]
-                if part != 0.0:
-                    for i in range(3):
-                        for j in range(3):
-                            for l in range(LANES):
-                                F[i, j, l] += part * at[q, i, j, l]
-            for l in range(LANES):
-                # C - 1 = H + H^T + H^T H with the displacement gradient H: small strains lose no digits
-                c00 = 2.0 * F[0, 0, l] + F[0, 0, l] ** 2 + F[1, 0, l] ** 2 + F[2, 0, l] ** 2
-                c11 = 2.0 * F[1, 1, l] + F[0, 1, l] ** 2 + F[1, 1, l] ** 2 + F[2, 1, l] ** 2
-                c22 = 2.0 * F[2, 2, l] + F[0, 2, l] ** 2 + F[1, 2, l] ** 2 + F[2, 2, l] ** 2
-                c01 = (
-                    F[0, 1, l]
-                    + F[1, 0, l]
-                    + F[0, 0, l] * F[0, 1, l]
-                    + F[1, 0, l] * F[1, 1, l]
-                    + F[2, 0, l] * F[2, 1, l]
-                )
-                c02 = (
-                    F[0, 2, l]
-                    + F[2, 0, l]
-                    + F[0, 0, l] * F[0, 2, l]
-                    + F[1, 0, l] * F[1, 2, l]
-                    + F[2, 0, l] * F[2, 2, l]
-                )
-                c12 = (
-                    F[1, 2, l]
-                    + F[2, 1, l]
-                    + F[0, 1, l] * F[0, 2, l]
-                    + F[1, 1, l] * F[1, 2, l]
-                    + F[2, 1, l] * F[2, 2, l]
-                )
-                # closed form for the eigenvalues of a symmetric 3x3 matrix (Smith 1961)
-                mean = (c00 + c11 + c22) / 3.0
-                a0 = c00 - mean
-                a1 = c11 - mean
-                a2 = c22 - mean
-                p = np.sqrt((a0 * a0 + a1 * a1 + a2 * a2 + 2.0 * (c01 * c01 + c02 * c02 + c12 * c12)) / 6.0)
-                det = a0 * (a1 * a2 - c12 * c12) - c01 * (c01 * a2 - c12 * c02) + c02 * (c01 * c12 - a1 * c02)
-                turn = det / (2.0 * p * p * p) if p > 1e-100 else 0.0
-                angle = np.arccos(min(1.0, max(-1.0, turn))) / 3.0
-                high = mean + 2.0 * p * np.cos(angle)
-                low = mean + 2.0 * p * np.cos(angle + 2.0943951023931953)
-                out[c, r, 0, l] = np.sqrt(max(1.0 + low, 0.0))
-                out[c, r, 1, l] = np.sqrt(max(1.0 + 3.0 * mean - high - low, 0.0))
-                out[c, r, 2, l] = np.sqrt(1.0 + high)
