@@ -18,7 +18,19 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from baselines.files import output_folder, write_json, written_whole
+from baselines.console import (
+    BadInput,
+    NotCertified,
+    announce_compilation,
+    check_no_folder,
+    exit_codes,
+    tell_error,
+    usable_folder,
+    why,
+    writing,
+)
+from baselines.files import write_json, written_whole
+from baselines.learning_commands import commands as learning_commands
 
 if TYPE_CHECKING:
     from planners.base import Plan
@@ -34,6 +46,7 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
+app.add_typer(learning_commands)
 
 Resolution = Literal["fine", "medium", "coarse"]
 ResolutionOption = Annotated[
@@ -42,14 +55,6 @@ ResolutionOption = Annotated[
 VerifyOption = Annotated[
     bool, typer.Option("--verify", help="Repeat it on a finer mesh and report the differences.")
 ]
-
-
-class BadInput(Exception):
-    """What the user gave cannot be used; the message is one line. Exit 2."""
-
-
-class NotCertified(Exception):
-    """The work was done and nothing is certified; the message says why. Exit 1."""
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -62,7 +67,7 @@ def main(args: Sequence[str] | None = None) -> int:
             raise
         message = problem.format_message()
         if message:  # none where no command was given: typer has printed the help
-            _tell_error(message)
+            tell_error(message)
         return 2
     return code if isinstance(code, int) else 0
 
@@ -105,19 +110,19 @@ def plan_command(
 ) -> None:
     """Find the certified retraction with least strain, and write it with its certificate and pictures."""
     clock = Clock()
-    with _exit_codes(), ExitStack() as stack:
+    with exit_codes(), ExitStack() as stack:
         if pictures and film == "mp4" and importlib.util.find_spec("imageio_ffmpeg") is None:
             raise BadInput("--format mp4 needs imageio-ffmpeg: pip install 'retract[video]', or choose gif")
         with clock.phase("imports"):
             from retract_env.scene import load_scene
         scene = _checked(lambda: load_scene(scene_file))
-        folder = stack.enter_context(_usable_folder(out))
+        folder = stack.enter_context(usable_folder(out))
         with clock.phase("imports"):
             import planners
             from baselines.candidates import CandidateTable
             from planners.base import NoPlan
         _check_planner(planner, planners.PLANNERS)
-        _announce_compilation()
+        announce_compilation()
         with clock.phase("planning"), CandidateTable() as table:
             try:
                 best = planners.plan(
@@ -126,6 +131,8 @@ def plan_command(
             except NoPlan as none:
                 table.update(none.candidates)
                 raise NotCertified(f"no plan certified: {none}") from None
+            except ImportError as missing:  # it names the extra to install
+                raise BadInput(str(missing)) from None
             table.update(best.candidates)
             table.choose(best.grasp)
         if verify:
@@ -151,23 +158,57 @@ def certify_command(
 ) -> None:
     """Simulate the retraction of a plan and judge it."""
     clock = Clock()
-    with _exit_codes(), ExitStack() as stack:
+    with exit_codes(), ExitStack() as stack:
         data = _read_json(plan_file)
         with clock.phase("imports"):
             import planners
+            from retract_env.mesh import MeshError
         scene, grasp, path = _read_plan(plan_file, data)
         if out is not None:
-            stack.enter_context(_usable_folder(out.parent))
-            _check_no_folder(out)
-        _announce_compilation()
+            stack.enter_context(usable_folder(out.parent))
+            check_no_folder(out)
+        announce_compilation()
         with clock.phase("simulation"):
-            certificate = planners.certify(scene, grasp, path, resolution=resolution, verify=verify)
+            try:
+                certificate = planners.certify(scene, grasp, path, resolution=resolution, verify=verify)
+            except MeshError as problem:
+                raise NotCertified(f"not certified: {problem}") from None
         if out is not None:
-            with _writing(out), written_whole(out) as temporary:
+            with writing(out), written_whole(out) as temporary:
                 write_json(temporary, certificate.to_json())
             typer.echo(f"written: {out}")
         typer.echo(clock.summary())
         _report(certificate)
+
+
+@app.command("reproduce")
+def reproduce_command(
+    name: Annotated[str, typer.Argument(help="fig7, fig8, fig9, fig11, fig12, pruning, light_grip, or all.")],
+    out: Annotated[Path, typer.Option(help="Folder for tables, pictures and texts.")] = Path("docs/results"),
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Processes; as many as cores if not given.")
+    ] = None,
+    resolution: ResolutionOption = "fine",
+    cluster: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Ray cluster that does the work, or `auto`.")
+    ] = None,
+    fresh: Annotated[bool, typer.Option("--fresh", help="Do again what an earlier run has done.")] = False,
+) -> None:
+    """Repeat a figure of the paper, or a study of our own. An interrupted run goes on where it stopped."""
+    with exit_codes(), ExitStack() as stack:
+        if cluster is not None and workers is not None:
+            raise BadInput("--workers and --cluster: allowed one of them, the cluster has its own workers")
+        from baselines import reproduce
+        from retract_env.checked import ConfigError
+
+        try:
+            asked = reproduce.names(name)
+            folder = stack.enter_context(usable_folder(out))
+            announce_compilation()
+            written = reproduce.reproduce(asked, folder, resolution, workers, cluster, fresh)
+        except (ConfigError, ConnectionError) as problem:
+            raise BadInput(str(problem)) from None
+        typer.echo("written: " + ", ".join(str(path) for path in written))
 
 
 class Clock:
@@ -248,7 +289,7 @@ def _write_plan(plan: Plan, folder: Path, film: str | None, clock: Clock) -> lis
             from baselines.pictures import draw_retraction
         files["retraction.png"] = lambda path: draw_retraction(plan, path)
         files[f"retraction.{film}"] = lambda path: animate_retraction(plan, path)
-    with _writing(folder), clock.phase("pictures and files"), ExitStack() as all_or_none:
+    with writing(folder), clock.phase("pictures and files"), ExitStack() as all_or_none:
         for name, write in files.items():
             write(all_or_none.enter_context(written_whole(folder / name)))
     return [folder / name for name in files]
@@ -258,7 +299,7 @@ def _read_json(file: Path) -> Any:
     try:
         return json.loads(file.read_text(encoding="utf-8"))
     except OSError as problem:
-        raise BadInput(f"{file}: {_why(problem)}") from None
+        raise BadInput(f"{file}: {why(problem)}") from None
     except (ValueError, RecursionError) as problem:
         raise BadInput(f"{file}: not readable as JSON: {problem}") from None
 
@@ -289,58 +330,3 @@ def _check_planner(name: str, known: Collection[str]) -> None:
         close = difflib.get_close_matches(name, known, n=1)
         hint = f"; did you mean {close[0]}?" if close else ""
         raise BadInput(f"unknown planner {name!r}, allowed {', '.join(sorted(known))}{hint}")
-
-
-def _check_no_folder(file: Path) -> None:
-    if file.is_dir():
-        raise BadInput(f"{file}: is a folder")
-
-
-@contextmanager
-def _usable_folder(path: Path) -> Iterator[Path]:
-    """`output_folder`, its own errors as BadInput; those of the block pass."""
-    with ExitStack() as stack:
-        with _writing(path):
-            folder = stack.enter_context(output_folder(path))
-        yield folder
-
-
-@contextmanager
-def _writing(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as problem:
-        raise BadInput(f"cannot write {problem.filename or path}: {_why(problem)}") from None
-
-
-def _announce_compilation() -> None:
-    """Numba compiles the kernels on the first run, for long enough that a user wonders."""
-    import retract_env.fem
-
-    cached = getattr(retract_env.fem, "kernels_are_cached", None)
-    if cached is not None and not cached():
-        typer.echo("first run: compiling the finite-element kernels, which are then kept")
-
-
-def _why(problem: OSError) -> str:
-    return (problem.strerror or str(problem)).lower()
-
-
-def _tell_error(message: str) -> None:
-    typer.echo("error: " + " ".join(message.split()), err=True)
-
-
-@contextmanager
-def _exit_codes() -> Iterator[None]:
-    """What may be expected to go wrong, as one line and an exit code."""
-    try:
-        yield
-    except BadInput as problem:
-        _tell_error(str(problem))
-        raise typer.Exit(2) from None
-    except NotCertified as verdict:
-        typer.echo(str(verdict))
-        raise typer.Exit(1) from None
-    except KeyboardInterrupt:
-        typer.echo("interrupted", err=True)
-        raise typer.Exit(130) from None

@@ -147,7 +147,7 @@ def test_a_plan_that_breaks_a_limit_is_exit_1_and_its_certificate_is_kept(
     [
         (["plan", "missing.yaml"], "missing.yaml"),
         (["plan", "."], ".: "),
-        (["plan", "{scene}", "--planner", "ctcc"], "unknown planner 'ctcc', allowed ctc"),
+        (["plan", "{scene}", "--planner", "ctcc"], "unknown planner 'ctcc', allowed circular, ctc"),
         (["plan", "{scene}", "--planner", "ctcc"], "did you mean ctc?"),
         (["plan", "{scene}", "--resolution", "finest"], "fine"),
         (["plan", "{scene}", "--workers", "0"], "--workers"),
