@@ -20,14 +20,9 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from baselines.drawing import (
-    GREY,
-    LIMIT,
-    SIGHT,
     STYLE,
-    VALUE,
     FlapArtist,
     JawArtist,
-    SectionTopology,
     draw_histories,
     draw_surroundings,
     drawn_frames,
@@ -37,6 +32,8 @@ from baselines.drawing import (
 )
 from baselines.files import written_whole
 from baselines.pictures import heading, verdict
+from retract_env.palette import GREY, LIMIT, SIGHT, VALUE
+from retract_env.shapes import SectionTopology
 
 if TYPE_CHECKING:
     from planners.base import Plan
@@ -103,7 +100,7 @@ def animation_images(plan: Plan) -> Iterator[Pixels]:
     plots = [panel(left + i * (wide + gap), below, wide, strip) for i in range(3)]
     curves = draw_histories(plots, certificate, colour="#b9d3e6")
 
-    flap = FlapArtist(axes, SectionTopology(section, straight=True), limit)
+    flap = FlapArtist(axes, SectionTopology(section), limit, straight=True)
     jaws = JawArtist(axes, scene)
     traces = [ax.plot([], [], color=VALUE, linewidth=2.2, zorder=4)[0] for ax in plots]
     dot_look: Any = {"color": VALUE, "markersize": 5.5, "markeredgecolor": "white", "zorder": 5}

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.collections import TriMesh
 from matplotlib.colors import Colormap, ListedColormap
@@ -19,6 +18,22 @@ from matplotlib.transforms import Affine2D
 from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 
+from retract_env.palette import (
+    GREY,
+    GROUND,
+    HATCH,
+    INK,
+    LIMIT,
+    SIGHT,
+    STEEL,
+    STRAIN,
+    VALUE,
+    VEIN_EDGE,
+    WEDGE,
+    WHITE,
+)
+from retract_env.shapes import JawShapes, SectionTopology, broken
+
 if TYPE_CHECKING:
     from planners.certify import Certificate
     from retract_env.mesh import SectionMesh
@@ -26,14 +41,9 @@ if TYPE_CHECKING:
     from retract_env.scene import Scene
 
 Array = NDArray[np.float64]
-Ints = NDArray[np.intp]
 
 MM = 1e3
 
-# Okabe and Ito's colours, which every kind of colour vision tells apart.
-INK, GREY, STEEL = "#22282e", "#6d757d", "#39444f"
-TISSUE, VEIN, VEIN_EDGE = "#f7e1d3", "#9fcdea", "#1b3a5c"
-SIGHT, VALUE, LIMIT = "#00805f", "#0072b2", "#d55e00"
 STYLE: Any = {
     "font.family": "DejaVu Sans", "font.size": 9.5, "text.color": INK, "text.usetex": False,
     "axes.edgecolor": GREY, "axes.labelcolor": INK, "axes.linewidth": 0.8, "axes.unicode_minus": True,
@@ -42,73 +52,35 @@ STYLE: Any = {
     "xtick.color": GREY, "ytick.color": GREY, "xtick.labelsize": 8.5, "ytick.labelsize": 8.5,
     "figure.facecolor": "white", "savefig.bbox": None, "path.simplify": True, "hatch.linewidth": 0.6,
 }  # fmt: skip
-HATCHED: Any = {"facecolor": "#eceef0", "edgecolor": "#c9ced3", "hatch": "////", "linewidth": 0}
+HATCHED: Any = {"facecolor": GROUND, "edgecolor": HATCH, "hatch": "////", "linewidth": 0}
 NOTE_BOX = {"boxstyle": "round,pad=0.25", "facecolor": "white", "edgecolor": "none", "alpha": 0.9}
 HALO = [withStroke(linewidth=2.5, foreground="white")]
-BED, WALL, FINGER, PAD, MARGIN = 0.08, 0.12, 0.14, 0.016, 0.06  # of the flap's length
-
-_SMALL = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])  # a quadratic triangle as four plain ones
-_EDGES = np.array([[0, 3, 1], [1, 4, 2], [2, 5, 0]])
+BED, WALL, MARGIN = 0.08, 0.12, 0.06  # of the flap's length
 
 
 def strain_map(fade: float = 0.0) -> Colormap:
     """Perceptually uniform, pale when relaxed, dark at the limit; fade in [0, 1] blends with white."""
-    colours = colormaps["magma_r"](np.linspace(0.02, 0.86, 256))
-    colours[:, :3] += fade * (1.0 - colours[:, :3])
-    return ListedColormap(colours, name=f"strain{fade:g}")
-
-
-class SectionTopology:
-    """What is drawn of a section mesh, whatever its shape now.
-
-    nodes: (v,) node of each drawn vertex. faces: (4 m, 3) vertices, or (m, 3) with straight edges, which
-    draws faster and differs by less than a pixel. outline: (k,) boundary nodes from the foot of the fixed end
-    along the lower surface and round. vein_edges: (e, 3) nodes along the outlines of the veins.
-    """
-
-    def __init__(self, section: SectionMesh, straight: bool = False) -> None:
-        triangles, vein = np.asarray(section.triangles), np.asarray(section.vein)
-        count = len(section.points)
-        # Strain jumps between vein and tissue, so a node on a vein's outline is drawn as two vertices.
-        sided = triangles + count * (vein >= 0)[:, None]
-        vertices, self._vertex = np.unique(sided, return_inverse=True)
-        self._vertex = self._vertex.reshape(triangles.shape)
-        self.nodes: Ints = vertices % count
-        self.faces: Ints = self._vertex[:, :3] if straight else self._vertex[:, _SMALL].reshape(-1, 3)
-        edges = triangles[:, _EDGES].reshape(-1, 3)
-        inside = np.repeat(vein, 3)
-        keys = np.column_stack((inside, edges[:, 1]))[inside >= 0]
-        _, first, times = np.unique(keys, axis=0, return_index=True, return_counts=True)
-        self.vein_edges: Ints = edges[inside >= 0][np.sort(first[times == 1])]
-        self.outline: Ints = _loop(np.asarray(section.points), np.asarray(section.boundary))
-
-    def smooth(self, strain: Array) -> Array:
-        """(v,) strain at the vertices: mean of the (m,) triangles around each, on its side of a vein."""
-        flat = self._vertex.ravel()
-        return np.asarray(np.bincount(flat, np.repeat(strain, 6)) / np.bincount(flat), dtype=np.float64)
-
-
-def _loop(points: Array, boundary: Ints) -> Ints:
-    after = {int(a): (int(b), int(middle)) for a, middle, b in boundary}
-    corners = np.array(list(after))
-    node = int(corners[np.argmax(points[corners, 0] - points[corners, 1])])
-    loop = [node]
-    for _ in after:
-        node, middle = after[node]
-        loop += [middle, node]
-    # The edges run counter-clockwise, up the fixed end first; backwards the lower surface comes first.
-    return np.array(loop[::-1], dtype=np.intp)
+    colours = STRAIN / 255
+    return ListedColormap(colours + fade * (1.0 - colours), name=f"strain{fade:g}")
 
 
 class FlapArtist:
     """One flap coloured by strain up to `limit`, with outline and veins; show() moves it to another state."""
 
     def __init__(
-        self, axes: Axes, topology: SectionTopology, limit: float, fade: float = 0.0, zorder: float = 3.0
+        self,
+        axes: Axes,
+        topology: SectionTopology,
+        limit: float,
+        fade: float = 0.0,
+        zorder: float = 3.0,
+        straight: bool = False,
     ) -> None:
+        """straight: whether to draw the elements' edges straight, which is faster."""
         self._topology = topology
         zeros = np.zeros(len(topology.nodes))
-        self._triangulation = Triangulation(zeros, zeros, topology.faces)
+        faces = topology.straight if straight else topology.faces
+        self._triangulation = Triangulation(zeros, zeros, faces)
         self.mesh = TriMesh(self._triangulation, cmap=strain_map(fade), zorder=zorder)
         self.mesh.set_clim(0.0, limit)
         self.mesh.set_array(zeros)
@@ -126,26 +98,17 @@ class FlapArtist:
         points = np.asarray(state.points) * MM
         self._triangulation.x, self._triangulation.y = points[self._topology.nodes].T
         self.mesh.set_array(self._topology.smooth(np.asarray(state.strain)))
-        edges = points[self._topology.vein_edges]
-        gaps = np.full((len(edges), 1, 2), np.nan)  # one line with gaps draws far faster than many short ones
-        self.veins.set_data(*np.concatenate((edges, gaps), axis=1).reshape(-1, 2).T)
+        # one line with gaps draws far faster than many short ones
+        self.veins.set_data(*broken(points[self._topology.vein_edges]).T)
         self.outline.set_data(*points[self._topology.outline].T)
 
 
 class JawArtist:
-    """Two rounded pads outside the tissue, as wide as a jaw patch, and the gripper's fingers behind them."""
+    """The gripper's two pads and the fingers behind them, which ghosts go without."""
 
     def __init__(self, axes: Axes, scene: Scene, fade: float = 0.0, zorder: float = 5.0) -> None:
-        length, half = scene.tissue.length * MM, scene.jaws.width * MM / 2
-        thick, reach = PAD * length, FINGER * length
-        radius = 0.7 * min(half, thick)
-        turn = np.linspace(0.0, np.pi / 2, 7)[:, None]
-        corner = radius * np.hstack((np.cos(turn), np.sin(turn))) + (half - radius, thick - radius)
-        mirrored = corner[::-1] * (-1, 1)
-        self._pad = np.vstack(([(half, 0.0)], corner, mirrored, [(-half, 0.0)]))
-        right = np.array([(0.3 * thick, 0.9 * thick), (0.6 * thick, reach / 2), (0.6 * thick, reach)])
-        self._finger = np.vstack((right, right[::-1] * (-1, 1)))
-        look: dict[str, Any] = {"edgecolor": "white", "linewidth": 0.6, "alpha": 1.0 - fade, "closed": True}
+        self._shapes = JawShapes(scene)
+        look: dict[str, Any] = {"edgecolor": WHITE, "linewidth": 0.6, "alpha": 1.0 - fade, "closed": True}
         blank, fingers = np.zeros((1, 2)), 2 if fade == 0 else 0
         self.pads = [Polygon(blank, facecolor=INK, zorder=zorder + 0.1, **look) for _ in range(2)]
         self.fingers = [Polygon(blank, facecolor=STEEL, zorder=zorder, **look) for _ in range(fingers)]
@@ -158,13 +121,9 @@ class JawArtist:
 
     def show(self, jaws: Array) -> None:
         """jaws: (4,) m, x1, y1, x2, y2 of the lower and the upper jaw."""
-        ends = np.asarray(jaws, dtype=np.float64).reshape(2, 2) * MM
-        axis = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
-        across = np.array([axis[1], -axis[0]])
-        for side, (end, outward) in enumerate(zip(ends, (-axis, axis), strict=True)):
-            self.pads[side].set_xy(end + self._pad[:, :1] * across + self._pad[:, 1:] * outward)
-            if self.fingers:
-                self.fingers[side].set_xy(end + self._finger[:, :1] * across + self._finger[:, 1:] * outward)
+        fingers, pads = self._shapes.at(jaws)
+        for patch, shape in zip(self.artists, (*fingers[: len(self.fingers)], *pads), strict=True):
+            patch.set_xy(shape[:-1] * MM)
 
 
 def view_limits(scene: Scene, frames: Sequence[TissueState]) -> tuple[float, float, float, float]:
@@ -202,7 +161,7 @@ def draw_surroundings(
     end = target + min(room) * away
     far = 1e2 * length
     wedge = np.array([target, target + far * away, (x0 - far, far), (x0 - far, 0.0)])
-    axes.add_patch(Polygon(wedge, facecolor="#e3f1ec", edgecolor="none", zorder=0.5))
+    axes.add_patch(Polygon(wedge, facecolor=WEDGE, edgecolor="none", zorder=0.5))
     axes.add_patch(Rectangle((x0, y0), x1 - x0, -y0, zorder=2.4, **HATCHED))
     axes.add_patch(Rectangle((0, 0), x1, height, zorder=2.4, **HATCHED))
     axes.plot([x0, x1], [0, 0], color=GREY, linewidth=1.0, zorder=2.5)
@@ -270,7 +229,7 @@ def draw_histories(
     turn = squeeze_end(frames)
     for ax, (title, values, limit, text) in zip(axes, rows, strict=True):
         ax.set_title(title, pad=5)
-        ax.axvspan(0, turn, facecolor="#eef0f2", zorder=0)
+        ax.axvspan(0, turn, facecolor=GROUND, zorder=0)
         ax.axhline(limit, color=LIMIT, linewidth=1.3, linestyle=(0, (5, 3)), zorder=2)
         marker = "o" if len(steps) == 1 else None
         ax.plot(steps, values, color=colour, marker=marker, linewidth=2.0, zorder=3, solid_capstyle="round")

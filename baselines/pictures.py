@@ -18,23 +18,12 @@ from matplotlib.patches import Polygon, Rectangle
 from matplotlib.ticker import MaxNLocator
 
 from baselines.drawing import (
-    GREY,
     HALO,
     HATCHED,
-    INK,
-    LIMIT,
     MM,
-    SIGHT,
-    STEEL,
     STYLE,
-    TISSUE,
-    VALUE,
-    VEIN,
-    VEIN_EDGE,
-    Array,
     FlapArtist,
     JawArtist,
-    SectionTopology,
     bed_note,
     draw_histories,
     draw_surroundings,
@@ -45,6 +34,8 @@ from baselines.drawing import (
 )
 from baselines.files import written_whole
 from planners.spring import SpringModel
+from retract_env.palette import GREY, INK, LIMIT, SIGHT, STEEL, TISSUE, VALUE, VEIN, VEIN_EDGE
+from retract_env.shapes import SectionTopology, hidden_region
 
 if TYPE_CHECKING:
     from planners.base import Candidate, Plan
@@ -233,20 +224,6 @@ def _ghosts(frames: Sequence[TissueState]) -> list[int]:
     return sorted({int(i) for i in picks if 0 < i < last})
 
 
-def hidden_area(outline: Array, camera: Sequence[float]) -> Array:
-    """(k, 2) polygon that the flap hides from the camera: under the flap, down to the bed y = 0.
-
-    outline: (n, 2) from the foot of the fixed end along the lower surface and round; camera: (2,), y above 0.
-    """
-    ax, ay = camera
-    below = outline[:, 1] < ay
-    drop = np.where(below, ay - outline[:, 1], 1.0)
-    # where the ray through a node meets the bed
-    hits = np.where(below, ax + (outline[:, 0] - ax) * ay / drop, np.inf)
-    touch = int(np.argmin(hits))
-    return np.vstack((outline[: touch + 1], [(hits[touch], 0.0)]))
-
-
 def _draw_motion(axes: Axes, plan: Plan, limits: tuple[float, float, float, float]) -> None:
     frames, scene, limit = plan.certificate.frames, plan.scene, plan.certificate.strain_limit
     topology = SectionTopology(drawn_frames(plan.certificate)[1])
@@ -265,8 +242,8 @@ def _draw_motion(axes: Axes, plan: Plan, limits: tuple[float, float, float, floa
     tracks = np.array([f.jaws for f in frames]).reshape(-1, 2, 2) * MM
     for side in (0, 1):
         axes.plot(*tracks[:, side].T, color=STEEL, linewidth=1.0, linestyle=(0, (1, 1.5)), zorder=2.8)
-    outline = np.asarray(frames[-1].points)[topology.outline] * MM
-    shade = hidden_area(outline, (scene.line_of_sight.camera[0] * MM, scene.line_of_sight.camera[1] * MM))
+    outline = np.asarray(frames[-1].points)[topology.outline]
+    shade = hidden_region(outline, scene.line_of_sight.camera) * MM
     axes.add_patch(Polygon(shade, facecolor="#b4bbc2", edgecolor="none", alpha=0.75, zorder=2.3))
     reach = float(shade[-1, 0])  # the bed is hidden from here to the fixed end
     if reach / 2 - scene.line_of_sight.target[0] * MM > 4.0:

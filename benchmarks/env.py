@@ -4,6 +4,8 @@ Each line plays the spring model's best grasp and its CTC path, again and again,
 times of that thread: steps a second in the retract phase, observation, reward and exposure included; a reset
 that closes the jaws, on a new flap and on the same again; and the first action of an episode with
 `grasp="agent"`, which meshes and squeezes. What a frame, the exposure and an observation cost ends the table.
+
+Then what the two physics say to one and the same plan: for each scene the planner's best, played on both.
 """
 
 from __future__ import annotations
@@ -18,10 +20,11 @@ from typing import Any
 
 import numpy as np
 
+from planners import plan
 from planners.paths import ctc
 from retract_env.env import TissueRetractEnv
 from retract_env.objectives import exposure
-from retract_env.rollout import PathPolicy
+from retract_env.rollout import PathPolicy, rollout
 from retract_env.scene import Scene, load_scene, sample_scene
 
 SCENES = Path(__file__).resolve().parent.parent / "configs" / "scenes"
@@ -39,6 +42,10 @@ RUNS = (
     ("bullet", "medium", "ten_veins"),
     ("bullet", "fine", "homogeneous"),
 )
+
+
+PLANS = ("homogeneous", "homogeneous_near", "ten_veins", "twenty_veins", "wide")
+PLAYED = (("fem", "coarse"), ("fem", "fine"), ("bullet", "coarse"), ("bullet", "medium"))
 
 
 @dataclass
@@ -97,10 +104,25 @@ def measure(physics: str, resolution: str, name: str, seconds: float) -> tuple[T
     return times, env
 
 
+def play(name: str) -> None:
+    """Play the planner's best plan of one scene on each physics, a line each."""
+    scene = load_scene(SCENES / f"{name}.yaml")
+    best = plan(scene, resolution="coarse", workers=1)
+    for physics, resolution in PLAYED:
+        env = TissueRetractEnv(physics, scene=scene, resolution=resolution)
+        played = rollout(env, PathPolicy.of(best), seed=0)
+        env.close()
+        info = played.infos[-1]
+        end = "success" if played.success else info["failure"] or "time"
+        figures = f"{info['max_strain']:.3f} | {info['required_friction']:.2f} | {played.total:.2f}"
+        print(f"| {name} | {physics} | {resolution} | {end} | {len(played)} | {figures} |", flush=True)
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seconds", type=float, default=3.0, help="of steps a line")
     parser.add_argument("--physics", choices=("fem", "bullet"), help="only this one")
+    parser.add_argument("--plans", nargs="*", default=PLANS, help="scenes whose plans are played, or none")
     options = parser.parse_args(arguments)
     print(f"{platform.machine()}, Python {platform.python_version()}, CPU time of one thread\n")
     print("| physics | resolution | scene | nodes | reset, ms | again | first action | steps/s |")
@@ -128,6 +150,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         work()
         print(f"{label}: {1e3 * float(np.median([timed(work) for _ in range(50)])):.2f} ms")
     env.close()
+    print("\n| scene | physics | resolution | end | steps | eps_max | friction | return |")
+    print("| --- | --- | --- | --- | ---: | ---: | ---: | ---: |")
+    for name in options.plans:
+        play(name)
 
 
 if __name__ == "__main__":

@@ -19,7 +19,8 @@ STEP = np.array([2e-3, 2e-3, np.radians(6.0)])
 """(3,) m, m, rad: how far -1 or 1 moves the gripper in x, in y and in its angle."""
 COMPRESSION = (0.02, 0.5)
 """Least and greatest compression over the flap's height. The spring model's are at most half the strain limit
-(Eq. 5)."""
+(Eq. 5). Equal steps of the action are equal factors: needed friction goes with one over the compression, and
+the lightest grips that hold differ by that much."""
 
 
 def checked(action: ArrayLike) -> Array:
@@ -50,18 +51,23 @@ def grasp_range(scene: Scene) -> tuple[Array, Array]:
 def to_grasp(action: ArrayLike, scene: Scene) -> Grasp:
     """Grasp of a first action: -1 is the free end and least compression, 1 the fixed end and the greatest.
 
-    The third number has no meaning. Raises ValueError as `checked`.
+    In between, x goes linearly and the compression geometrically. The third number has no meaning. Raises
+    ValueError as `checked`.
     """
-    low, high = grasp_range(scene)
-    x, compression = low + (checked(action)[:2] + 1) / 2 * (high - low)
-    return Grasp(float(x), float(compression))
+    (near, light), (far, firm) = (ends.tolist() for ends in grasp_range(scene))
+    along, strength = ((checked(action)[:2] + 1) / 2).tolist()
+    compression = min(
+        max(light * (firm / light) ** strength, light), firm
+    )  # a rounding error may leave the range
+    return Grasp(near + along * (far - near), compression)
 
 
 def from_grasp(grasp: Grasp, scene: Scene) -> Array:
     """First action (3,) that takes this grasp, or the nearest one in range."""
-    low, high = grasp_range(scene)
-    wanted = 2 * (np.array([grasp.x, grasp.compression]) - low) / (high - low) - 1
-    return np.append(np.clip(wanted, -1.0, 1.0), 0.0)
+    (near, light), (far, firm) = (ends.tolist() for ends in grasp_range(scene))
+    along = (grasp.x - near) / (far - near)
+    strength = np.log(grasp.compression / light) / np.log(firm / light)
+    return np.append(np.clip([2 * along - 1, 2 * strength - 1], -1.0, 1.0), 0.0)
 
 
 def to_pose(action: ArrayLike, pose: ArrayLike) -> Array:

@@ -30,7 +30,8 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]], EzPickle):
     Hauser, Chentanez, van der Stappen and Goldberg, IROS 2009.
 
     `TissueRetractFEM-v0` computes the flap by quasi-static finite elements, `TissueRetract-v0` as a soft body
-    of PyBullet (`pip install "retract[bullet]"`); spaces, rewards and meaning are the same.
+    of PyBullet (installed with the rest where it has wheels: CPython 3.10 and 3.11 on Linux, x86-64;
+    elsewhere `pip install "retract[bullet]"` compiles it); spaces, rewards and meaning are the same.
 
     The flap fills x in [-length, 0], y in [0, height] at rest and is fixed at x = 0. Gravity acts along -y,
     the camera looks from the upper left.
@@ -45,7 +46,7 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]], EzPickle):
     | Num | Action | -1 | 1 |
     | --- | --- | --- | --- |
     | 0 | position along the flap | free end | 0.55 jaw widths before the fixed end |
-    | 1 | compression of the flap between the jaws | 0.02 height | 0.5 height |
+    | 1 | compression of the flap between the jaws, geometrically | 0.02 height | 0.5 height |
     | 2 | none | | |
 
     Every later action moves the gripper; the distance between its jaws stays:

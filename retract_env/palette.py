@@ -13,7 +13,8 @@ Bytes = NDArray[np.uint8]
 
 # Okabe and Ito's colours, which every kind of colour vision tells apart.
 WHITE, INK, GREY, STEEL = "#ffffff", "#22282e", "#6d757d", "#39444f"
-VEIN_EDGE, SIGHT, VALUE, LIMIT = "#1b3a5c", "#00805f", "#0072b2", "#d55e00"
+TISSUE, VEIN, VEIN_EDGE = "#f7e1d3", "#9fcdea", "#1b3a5c"
+SIGHT, VALUE, LIMIT = "#00805f", "#0072b2", "#d55e00"
 GROUND, HATCH, HIDDEN, WEDGE = "#eceef0", "#c9ced3", "#c7ccd1", "#e3f1ec"
 
 

@@ -26,9 +26,10 @@ _EDGES = np.array([[0, 3, 1], [1, 4, 2], [2, 5, 0]])
 class SectionTopology:
     """What is drawn of a section mesh, whatever its shape now.
 
-    nodes: (v,) node of each drawn vertex. faces: (4 m, 3) vertices. outline: (k,) boundary nodes from the
-    foot of the fixed end along the lower surface and round, the first again at the end. vein_edges: (e, 3)
-    nodes along the outlines of the veins.
+    nodes: (v,) node of each drawn vertex. faces: (4 m, 3) vertices; straight: (m, 3), with straight edges,
+    which are drawn faster and differ by less than a pixel. outline: (k,) boundary nodes from the foot of the
+    fixed end along the lower surface and round, the first again at the end. vein_edges: (e, 3) nodes along
+    the outlines of the veins.
     """
 
     def __init__(self, section: SectionMesh) -> None:
@@ -41,6 +42,7 @@ class SectionTopology:
         self._shares: Ints = np.bincount(self._vertex.ravel())
         self.nodes: Ints = vertices % count
         self.faces: Ints = np.ascontiguousarray(self._vertex[:, _SMALL].reshape(-1, 3))
+        self.straight: Ints = self._vertex[:, :3]
         edges = triangles[:, _EDGES].reshape(-1, 3)
         inside = np.repeat(vein, 3)
         keys = np.column_stack((inside, edges[:, 1]))[inside >= 0]

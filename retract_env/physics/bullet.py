@@ -1,24 +1,23 @@
 """The dynamic physics: PyBullet's deformable world, a soft body of linear tetrahedra between two jaws.
 
-Bullet integrates explicitly, and a flap's slowest swing takes thousands of its steps. So moves run some 40
-times faster than life (9 ms of Bullet's time for 2 mm of the gripper), and two things keep the flap near
-equilibrium:
+Bullet integrates explicitly, and a flap's slowest swing takes a thousand of its steps. So moves run about a
+hundred times faster than life (2 mm of the gripper in some 4 ms of Bullet's time), and two things keep the
+flap near equilibrium:
 
-* The flap is carried along: before Bullet's steps every node is moved as the gripper moves, less and less
-  towards the fixed end.
+* Each part of a move begins where linearised statics of the same tetrahedra puts the flap (prediction.py).
 * Kinetic damping (Cundall): whenever the kinetic energy has passed a peak, all nodes are stopped.
 
-What is left is the lag: up to 3.5 mm at the flap's tip while it falls back after having been lifted off the
-bed, then about 1 mm. Linear tetrahedra lock: the flap bends 15-30 % too stiffly and jaws feel two to three
-times the force. Bullet's own law, a "stable" neo-Hookean one, agrees with the certifier's where strain is
-small and puts the tip 0.1 mm elsewhere at a squeeze of a quarter. benchmarks/bullet.py measures all this.
-Bullet tells neither strain nor the jaws' forces: both are computed from the nodes' positions.
+What is left is the lag: up to 0.5 mm between the flap's tip at the end of a move and where it would come to
+rest. Linear tetrahedra lock: the flap bends 15-30 % too stiffly and jaws feel two to three times the force.
+Bullet's own law, a "stable" neo-Hookean one, agrees with the certifier's where strain is small and puts the
+tip 0.1 mm elsewhere at a squeeze of a quarter. benchmarks/bullet.py measures all this. Bullet tells neither
+strain nor the jaws' forces: both are computed from the nodes' positions.
 """
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,6 +28,7 @@ from retract_env.grasp import to_jaws, to_pose
 from retract_env.physics.base import Diverged, TissueState
 from retract_env.physics.bullet_world import World, silence
 from retract_env.physics.measures import TetrahedralFlap
+from retract_env.physics.prediction import Prediction
 from retract_env.physics.tetmesh import tet_mesh
 from retract_env.scene import Scene
 
@@ -36,10 +36,16 @@ Array = NDArray[np.float64]
 
 STRIDE, TURN = 2e-3, float(np.radians(6.0))
 """m and rad, farthest move of the gripper in `BulletResolution.steps`; longer moves take more of them."""
-PARTS = 10
-"""Parts of a stride; after each one the jaws move on and the kinetic energy is looked at."""
+PARTS = 2
+"""Parts of a stride, each of which begins with a prediction."""
+LOOKS = 2
+"""How often in a part, equally spaced, the kinetic energy is looked at."""
 COURANT = 0.7
 """Time step over the longest stable one; above sqrt(1/2) a stop adds energy to the fastest vibrations."""
+QUARTER_SWING = 0.03
+"""s, of Bullet's time, in which a hanging flap's slowest swing is at its fastest once."""
+SMALLEST_CUT = 1 / 64
+"""Part of a move below which it is not cut any further."""
 LIFTED = 3e-4
 """m, the bed is left out while the flap is higher than this, but for what is next to the fixed end."""
 
@@ -56,13 +62,13 @@ class BulletResolution:
     deep: int
     """cubes over the depth"""
     steps: int
-    """Bullet's time steps in a stride, a multiple of PARTS"""
+    """Bullet's time steps in a stride, a multiple of PARTS * LOOKS"""
 
 
 BULLET_RESOLUTIONS = {
-    "coarse": BulletResolution("coarse", 0.57, 2, 1, 100),
-    "medium": BulletResolution("medium", 0.38, 2, 2, 140),
-    "fine": BulletResolution("fine", 0.32, 3, 2, 300),
+    "coarse": BulletResolution("coarse", 0.57, 2, 1, 40),
+    "medium": BulletResolution("medium", 0.38, 2, 2, 60),
+    "fine": BulletResolution("fine", 0.32, 3, 2, 80),
 }
 
 
@@ -73,8 +79,15 @@ class BulletPhysics:
     last good one, and the flap goes on from there.
     """
 
-    def __init__(self, scene: Scene, jaw_x: float, resolution: str | BulletResolution = "medium"):
-        """jaw_x: m, where the jaws grasp.
+    def __init__(
+        self,
+        scene: Scene,
+        jaw_x: float,
+        resolution: str | BulletResolution = "medium",
+        stop_when: Callable[[TissueState], bool] | None = None,
+    ):
+        """jaw_x: m, where the jaws grasp; stop_when: asked of the farthest state on the way of a move that
+        cannot be made whole, and where it says so the move ends there.
 
         Raises ImportError, one line, without pybullet, and ValueError as `tet_mesh`.
         """
@@ -83,6 +96,7 @@ class BulletPhysics:
                 raise ValueError(f"resolution = {resolution!r}, allowed {', '.join(BULLET_RESOLUTIONS)}")
             resolution = BULLET_RESOLUTIONS[resolution]
         self.scene, self.resolution, self.jaw_x = scene, resolution, jaw_x
+        self._stop_when = stop_when
         tissue = scene.tissue
         self.mesh = mesh = tet_mesh(scene, jaw_x, resolution.along, resolution.across, resolution.deep)
         self.section = mesh.section
@@ -92,9 +106,9 @@ class BulletPhysics:
         self.node_mass = line * tissue.length**2 / 2 / float(-mesh.points[:, 0].sum())
         self.load = np.zeros_like(mesh.points)
         self.load[:, 1] = -self.node_mass * scene.gravity
-        part = np.clip(mesh.points[:, 0] / jaw_x, 0.0, 1.0)
-        self._carried = (part**2 * (3 - 2 * part))[:, None]
+        self._predicted = Prediction(self.flap, self.load, scene.bed)
         self._far = mesh.points[:, 0] < -1.5 * tissue.height
+        self._count = resolution.steps // (PARTS * LOOKS)
         self._world = World(_pybullet(), scene, mesh, jaw_x, self.node_mass)
         self._begin()
 
@@ -122,18 +136,20 @@ class BulletPhysics:
         """Let the flap rest on its bed, the open jaws holding it where they touch. Raises Diverged."""
         self._begin()
         # on the bed only fast, tiny vibrations are left; a hanging flap swings slowly and far
-        return self.settle(5e-3 if self.scene.bed else 1e-3)
+        return self.settle(5e-3, calm=1e-3) if self.scene.bed else self.settle()
 
-    def settle(self, speed: float = 1e-3, longest: int = 20_000) -> TissueState:
-        """Hold the jaws until no node is faster than `speed`, m/s, at a peak of the kinetic energy.
+    def settle(self, speed: float = 1e-3, calm: float = QUARTER_SWING, longest: int = 20_000) -> TissueState:
+        """Hold the jaws until no node has been faster than `speed`, m/s, for a time `calm`, s of Bullet's.
 
         longest: Bullet's time steps. Raises Diverged, also where the flap does not come to rest.
         """
         _, pose, progress = self._good
-        steps = self.resolution.steps // PARTS
+        quiet = 0.0
         with self._keeping_the_last_good_state():
-            for _ in range(0, longest, steps):
-                if self._part(pose, pose) < speed:
+            for _ in range(0, longest, self._count):
+                slow = self._run(speed) < speed
+                quiet = quiet + self._count * self._step if slow else 0.0
+                if quiet >= calm:
                     return self._accept(pose, progress)
             raise Diverged(f"the flap is not at rest after {longest} steps")
 
@@ -146,16 +162,35 @@ class BulletPhysics:
         if pose.shape != (4,) or not np.isfinite(pose).all():
             raise ValueError(f"pose = {pose.tolist()}, allowed 4 finite numbers")
         _, start, before = self._good
+        end = before if progress is None else progress
+        try:
+            return self._move(pose, end)
+        except Diverged:
+            if self._stop_when is None:
+                raise
+            good, part = self._good, 1.0
+            while part > SMALLEST_CUT:
+                part /= 2
+                with contextlib.suppress(Diverged):
+                    state = self._move(start + part * (pose - start), before + part * (end - before))
+                    if self._stop_when(state):
+                        return state
+                    break
+            self._good = good
+            self._restore()
+            raise
+
+    def _move(self, pose: Array, progress: float) -> TissueState:
+        _, start, _ = self._good
         dx, dy, turn, squeeze = np.abs(pose - start)
         strides = max(np.hypot(dx, dy) / STRIDE, squeeze / STRIDE, turn / TURN)
         parts = int(np.ceil(PARTS * max(1.0, strides) - 1e-9))
         with self._keeping_the_last_good_state():
-            at = start
             for k in range(1, parts + 1):
-                target = start + k / parts * (pose - start)
-                self._part(at, target)
-                at = target
-            return self._accept(pose, before if progress is None else progress)
+                self._advance(start + k / parts * (pose - start))
+                for _ in range(LOOKS):
+                    self._run()
+            return self._accept(pose, progress)
 
     def turn(self) -> None:
         """Say that the path has a corner here, which makes no difference to this physics."""
@@ -197,49 +232,54 @@ class BulletPhysics:
             self._restore()
             raise
 
-    def _part(self, start: Array, end: Array) -> float:
-        """Move the gripper by a part of a stride, and stop the nodes where the kinetic energy falls.
+    def _advance(self, pose: Array) -> None:
+        """Put the jaws at a pose and the nodes, at a standstill, where statics predicts them."""
+        self._points = self._predicted(self._points, self._held_at(pose))
+        self._world.stop()
+        self._world.place(self._points)
+        self._world.place_jaws(pose)
+        self._energy = 0.0
 
-        Returns the fastest node's speed, m/s, before it was stopped, inf where none was. Raises Diverged.
+    def _held_at(self, pose: Array) -> Array:
+        """Nodes (n, 3) m, those under the jaws as they are at a pose, all others where they are now."""
+        moved, rest = self._points.copy(), self.mesh.points
+        cosine, sine = np.cos(pose[2]), np.sin(pose[2])
+        turned = np.array([[cosine, sine], [-sine, cosine]])
+        open_jaws = np.array([[self.jaw_x, 0.0], [self.jaw_x, self.scene.tissue.height]])
+        for nodes, jaw, before in zip(self.mesh.patches, to_jaws(pose).reshape(2, 2), open_jaws, strict=True):
+            moved[nodes, :2] = jaw + (rest[nodes, :2] - before) @ turned
+        return moved
+
+    def _run(self, slow: float = 0.0) -> float:
+        """Let Bullet go on until the kinetic energy is next looked at; stop the nodes where it has fallen.
+
+        slow: m/s, nodes that are all slower than this are left alone, so that slow swings show. Returns the
+        fastest node's speed, m/s. Raises Diverged.
         """
-        rest, points, world = self.mesh.points, self._points, self._world
+        rest, points, world, count = self.mesh.points, self._points, self._world, self._count
         self._frequency, self._mode = self.flap.frequency(points - rest, self.node_mass, self._mode, 1)
         if not np.isfinite(self._frequency):
             raise Diverged("an element is inside out")
         if not 0.85 * COURANT < self._step * self._frequency / 2 < 1.1 * COURANT:
             self._step = 2 * COURANT / self._frequency
-        step, count = self._step, self.resolution.steps // PARTS
-        if start is not end:
-            points = self._carry(points, start, end)
-            world.place(points)
-            world.place_jaws(end)
-        world.run(count, step)
+        world.run(count, self._step)
         moved = world.positions()
         if not np.isfinite(moved).all() or np.abs(moved - rest).max() > 3 * self.scene.tissue.length:
             raise Diverged("the flap runs away")
-        velocity = (moved - points) / (count * step)
+        velocity = (moved - points) / (count * self._step)
         velocity[self.flap.held] = 0.0
         energy = float((velocity**2).sum())
         self._points = moved
         if self._far.any():
             low = float(moved[self._far, 1].min())
             world.want_bed(low < (LIFTED / 2 if not world.has_bed else LIFTED))
+        fastest = float(np.sqrt((velocity**2).sum(axis=1).max()))
         if energy >= self._energy:
             self._energy = energy
-            return np.inf
-        world.stop()
-        self._energy = 0.0
-        return float(np.sqrt((velocity**2).sum(axis=1).max()))
-
-    def _carry(self, points: Array, start: Array, end: Array) -> Array:
-        """Nodes (n, 3) moved with the gripper, from the fixed end on ever more, wholly beyond the jaws."""
-        turn = end[2] - start[2]
-        rotation = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
-        moved = points.copy()
-        moved[:, :2] += self._carried * ((points[:, :2] - start[:2]) @ rotation + end[:2] - points[:, :2])
-        if self.scene.bed:
-            moved[:, 1] = np.maximum(moved[:, 1], np.minimum(points[:, 1], 0.0))
-        return moved
+        elif fastest >= slow:
+            world.stop()
+            self._energy = 0.0
+        return fastest
 
 
 def _pybullet() -> Any:

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import functools
 import os
 import sys
 import tempfile
@@ -50,8 +51,6 @@ class World:
         self._scene, self._mesh, self._jaw_x, self._node_mass = scene, mesh, jaw_x, node_mass
         self._lift = np.array([0.0, MARGIN if scene.bed else 0.0, 0.0])
         self._text = mesh.vtk()
-        # Always the same lists: pybullet never lets go of what resetMeshData is given.
-        self._rows = [[0.0, 0.0, 0.0] for _ in mesh.points]
         self._client = int(pybullet.connect(pybullet.DIRECT))
         if self._client < 0:
             raise RuntimeError("Bullet has no room for another world")
@@ -150,9 +149,11 @@ class World:
 
     def place(self, points: Array) -> None:
         """Put the nodes at points (n, 3) m, their velocities as they are."""
-        for row, point in zip(self._rows, (points + self._lift).tolist(), strict=True):
-            row[:] = point
-        self._bullet.resetMeshData(self._flap, self._rows, **self._at)
+        with _one_at_a_time:
+            rows = _rows(len(points))
+            for row, point in zip(rows, (points + self._lift).tolist(), strict=True):
+                row[:] = point
+            self._bullet.resetMeshData(self._flap, rows, **self._at)
 
     def place_jaws(self, pose: Array) -> None:
         """Put the jaws at a pose (4,); the nodes that they hold follow with the next step."""
@@ -186,6 +187,12 @@ class World:
 
 
 _one_at_a_time = threading.Lock()
+
+
+@functools.cache
+def _rows(count: int) -> list[list[float]]:
+    """What resetMeshData is given: always the same lists, since pybullet never lets go of them."""
+    return [[0.0, 0.0, 0.0] for _ in range(count)]
 
 
 @contextlib.contextmanager

@@ -36,12 +36,6 @@ def check_physics(name: str, resolution: str) -> None:
 
 def make_physics(name: str, scene: Scene, jaw_x: float, resolution: str) -> Physics:
     """One flap between jaws at jaw_x, m. Raises as its constructor; a move ends where a limit is broken."""
-    if name == "bullet":
-        from retract_env.physics.bullet import BulletPhysics
-
-        return BulletPhysics(scene, jaw_x, resolution)
-    from retract_env.physics.fem import FemPhysics
-
     limits = scene.limits
 
     def broken(state: TissueState) -> bool:
@@ -49,6 +43,12 @@ def make_physics(name: str, scene: Scene, jaw_x: float, resolution: str) -> Phys
             state.max_strain, state.required_friction, state.clearance, limits.strain, limits.friction
         )
         return state.progress >= 1 and found not in (None, "ok")
+
+    if name == "bullet":
+        from retract_env.physics.bullet import BulletPhysics
+
+        return BulletPhysics(scene, jaw_x, resolution, stop_when=broken)
+    from retract_env.physics.fem import FemPhysics
 
     return FemPhysics(scene, jaw_x, resolution, stop_when=broken)
 

@@ -9,7 +9,7 @@ import gymnasium as gym
 import pytest
 
 from retract_env.env import TissueRetractEnv
-from tests.retract_env.playing import FEM
+from tests.retract_env.playing import BULLET, FEM
 
 
 @pytest.fixture(autouse=True)
@@ -19,11 +19,14 @@ def _no_screen(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def make() -> Iterator[Callable[..., TissueRetractEnv]]:
-    """Makes bare environments on the finite elements."""
+    """Makes bare environments, by id; on the finite elements unless told otherwise, on Bullet coarse ones."""
     made: list[TissueRetractEnv] = []
 
-    def make(**options: Any) -> TissueRetractEnv:
-        env = gym.make(FEM, **options).unwrapped
+    def make(name: str = FEM, **options: Any) -> TissueRetractEnv:
+        if name == BULLET:
+            pytest.importorskip("pybullet")
+            options = {"resolution": "coarse"} | options
+        env = gym.make(name, **options).unwrapped
         assert isinstance(env, TissueRetractEnv)
         made.append(env)
         return env

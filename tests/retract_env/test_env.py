@@ -5,7 +5,9 @@ from __future__ import annotations
 import pickle
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +16,7 @@ import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
+from numpy.typing import NDArray
 
 from retract_env import task
 from retract_env.env import TissueRetractEnv
@@ -36,22 +39,29 @@ OPTIONS: list[dict[str, Any]] = [
 ]
 
 
-@pytest.mark.parametrize("options", OPTIONS, ids="-".join)
-def test_gymnasium_checks_it(make: Callable[..., TissueRetractEnv], options: dict[str, Any]) -> None:
-    check_env(make(**options), skip_render_check=options.get("render_mode") is None)
+CASES = [
+    *(
+        pytest.param(name, options, id=f"{name}-{k}")
+        for name in (FEM, BULLET)
+        for k, options in enumerate(OPTIONS)
+    ),
+    pytest.param(BULLET, {"camera": "3d", "render_mode": "rgb_array"}, id=f"{BULLET}-3d"),
+]
 
 
-@pytest.mark.parametrize("options", OPTIONS, ids="-".join)
-def test_stable_baselines3_checks_it(make: Callable[..., TissueRetractEnv], options: dict[str, Any]) -> None:
+@pytest.mark.parametrize(("name", "options"), CASES)
+def test_gymnasium_checks_it(
+    make: Callable[..., TissueRetractEnv], name: str, options: dict[str, Any]
+) -> None:
+    check_env(make(name, **options), skip_render_check=options.get("render_mode") is None)
+
+
+@pytest.mark.parametrize(("name", "options"), CASES)
+def test_stable_baselines3_checks_it(
+    make: Callable[..., TissueRetractEnv], name: str, options: dict[str, Any]
+) -> None:
     checker = pytest.importorskip("stable_baselines3.common.env_checker")
-    checker.check_env(make(**options), warn=True)
-
-
-def test_gymnasium_checks_it_on_bullet() -> None:
-    pytest.importorskip("pybullet")
-    env = gym.make(BULLET, resolution="coarse").unwrapped
-    check_env(env, skip_render_check=True)
-    env.close()
+    checker.check_env(make(name, **options), warn=True)
 
 
 # --- Reproducible
@@ -59,18 +69,23 @@ def test_gymnasium_checks_it_on_bullet() -> None:
 
 def test_a_seed_names_an_episode(make: Callable[..., TissueRetractEnv]) -> None:
     """To the last bit: again, in an environment that has played others, in a new process."""
-    options = {"scene": "random", "grasp": "spring"}
-    env = make(**options)
-    first = digest(play(env, 3))
-    play(env, 4)
-    assert digest(play(env, 3)) == first
-    assert digest(play(env, 4)) != first
+    options = {"scene": "random", "grasp": "spring", "resolution": "coarse"}
+    names = [FEM, BULLET] if find_spec("pybullet") else [FEM]
+    firsts = []
+    for name in names:
+        env = make(name, **options)
+        first = digest(play(env, 3))
+        play(env, 4, steps=3)
+        assert digest(play(env, 3)) == first
+        assert digest(play(env, 4)) != first
+        firsts.append(first)
+    assert len(set(firsts)) == len(names)
     code = (
-        "from tests.retract_env.playing import FEM, digest, gym, play\n"
-        f"print(digest(play(gym.make(FEM, **{options!r}).unwrapped, 3)))"
+        "from tests.retract_env.playing import digest, gym, play\n"
+        f"for name in {names}: print(digest(play(gym.make(name, **{options!r}).unwrapped, 3)))"
     )
     other = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
-    assert other.stdout.strip() == first
+    assert other.stdout.split() == firsts
 
 
 def test_episodes_on_a_kept_flap_are_those_on_a_new_one(make: Callable[..., TissueRetractEnv]) -> None:
@@ -79,10 +94,11 @@ def test_episodes_on_a_kept_flap_are_those_on_a_new_one(make: Callable[..., Tiss
     assert said == [digest(play(other, 1)), digest(play(make(grasp="spring"), 2)), said[0]]
 
 
+@pytest.mark.parametrize("names", [(FEM, FEM), (BULLET, BULLET), (FEM, BULLET)], ids="-".join)
 def test_interleaved_environments_do_not_know_of_each_other(
-    make: Callable[..., TissueRetractEnv],
+    make: Callable[..., TissueRetractEnv], names: tuple[str, str]
 ) -> None:
-    envs = make(), make()
+    envs = [make(name) for name in names]
     actions = [np.array([-0.2, 0.1, 0.0]), *[LIFT] * 4]
     alone = []
     for env in envs:
@@ -140,20 +156,49 @@ def test_pickles_are_new_environments_of_the_same_sort(make: Callable[..., Tissu
     again.close()
 
 
-@pytest.mark.parametrize("kind", ["sync", "async"])
-def test_vectors_of_environments(make: Callable[..., TissueRetractEnv], kind: str) -> None:
-    settings = {} if kind == "sync" else {"context": "spawn"}
-    envs: Any = gym.make_vec(FEM, num_envs=2, vectorization_mode=kind, vector_kwargs=settings, grasp="spring")
+HELD: dict[str, Any] = {"grasp": "spring", "resolution": "coarse"}
+BOTH = [FEM, BULLET if find_spec("pybullet") else FEM]
+
+
+def alone(make: Callable[..., TissueRetractEnv], names: Sequence[str]) -> list[list[NDArray[Any]]]:
+    """What environment k sees that is reset with seed k and lifts ever more slowly with k."""
+    seen = []
+    for k, name in enumerate(names):
+        env = make(name, **HELD)
+        seen.append([env.reset(seed=k)[0]] + [env.step(LIFT / (1 + k))[0] for _ in range(3)])
+    return seen
+
+
+@pytest.mark.parametrize("name", [FEM, BULLET])
+def test_vectors_of_one_id(make: Callable[..., TissueRetractEnv], name: str) -> None:
+    expected = alone(make, [name, name])
+    envs: Any = gym.make_vec(name, num_envs=2, vectorization_mode="sync", **HELD)
+    seen = [envs.reset(seed=[0, 1])[0], *(envs.step(np.stack([LIFT, LIFT / 2]))[0] for _ in range(3))]
+    envs.close()
+    assert np.array_equal(np.swapaxes(seen, 0, 1), expected)
+
+
+def test_vectors_in_processes_of_their_own(make: Callable[..., TissueRetractEnv]) -> None:
+    """Both physics in one vector: their spaces are the same."""
+    made = [partial(gym.make, f"retract_env:{name}", **HELD) for name in BOTH]
+    envs: Any = gym.vector.AsyncVectorEnv(made, context="spawn")
     try:
-        seen = [envs.reset(seed=[1, 2])[0]]
-        for _ in range(3):
-            seen.append(envs.step(np.stack([LIFT, LIFT / 2]))[0])
+        seen = [envs.reset(seed=[0, 1])[0], *(envs.step(np.stack([LIFT, LIFT / 2]))[0] for _ in range(3))]
     finally:
         envs.close()
-    for k in range(2):
-        env = make(grasp="spring")
-        alone = [env.reset(seed=1 + k)[0]] + [env.step(LIFT / (1 + k))[0] for _ in range(3)]
-        assert np.array_equal(alone, [both[k] for both in seen])
+    assert np.array_equal(np.swapaxes(seen, 0, 1), alone(make, BOTH))
+
+
+def test_stable_baselines3_runs_them_in_processes(make: Callable[..., TissueRetractEnv]) -> None:
+    vectors = pytest.importorskip("stable_baselines3.common.vec_env")
+    made = [partial(gym.make, f"retract_env:{name}", **HELD) for name in BOTH]
+    envs = vectors.SubprocVecEnv(made, start_method="spawn")
+    try:
+        envs.seed(0)  # k gets the seed 0 + k
+        seen = [envs.reset(), *(envs.step(np.stack([LIFT, LIFT / 2]))[0] for _ in range(3))]
+    finally:
+        envs.close()
+    assert np.array_equal(np.swapaxes(seen, 0, 1), alone(make, BOTH))
 
 
 def test_wrappers(make: Callable[..., TissueRetractEnv]) -> None:
@@ -178,18 +223,22 @@ def test_videos(make: Callable[..., TissueRetractEnv], tmp_path: Path) -> None:
     for _ in range(3):
         env.step(LIFT)
     env.close()
-    assert [path.suffix for path in (tmp_path / "videos").iterdir()] == [".mp4"]
+    (film,) = (tmp_path / "videos").iterdir()
+    assert film.suffix == ".mp4"
+    frames, _ = pytest.importorskip("imageio_ffmpeg").count_frames_and_secs(str(film))
+    assert frames == 4
 
 
 @pytest.mark.slow
-def test_500_resets_need_no_more_memory(make: Callable[..., TissueRetractEnv]) -> None:
+@pytest.mark.parametrize("name", [FEM, BULLET])
+def test_500_resets_need_no_more_memory(make: Callable[..., TissueRetractEnv], name: str) -> None:
     """Every one on a new flap with a new grasp, squeezed."""
     resource = pytest.importorskip("resource")
-    env = make(scene="random")
+    env = make(name, scene="random")
     used = []
     for k in range(500):
         env.reset(seed=k)
         env.step(env.action_space.sample() * 0.5)
         used.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
-    # of the peak, in kB: what 400 flaps would add if they stayed is some GB
+    # of the peak, in kB: 400 flaps that stayed would add some GB of finite elements, some 100 MB of Bullet's
     assert used[-1] - used[100] < 50_000

@@ -22,7 +22,7 @@ from retract_env.physics.fem import FemPhysics
 from retract_env.scene import Scene, SceneError, load_scene
 from retract_env.task import SLICES, default_scene
 from tests.retract_env.bodies import flap, square_vein
-from tests.retract_env.playing import BULLET, LIFT, digest, play
+from tests.retract_env.playing import BULLET, FEM, LIFT, digest, play
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -56,6 +56,22 @@ def test_what_is_no_action_changes_nothing(make: Callable[..., TissueRetractEnv]
     assert "\n" not in str(caught.value)
     assert env.episode.now is before
     env.step(np.zeros(3))
+
+
+@pytest.mark.parametrize("name", [FEM, BULLET])
+def test_numbers_beyond_the_bounds_count_as_the_bounds(
+    make: Callable[..., TissueRetractEnv], name: str
+) -> None:
+    env = make(name, grasp={"x": -0.03, "compression": 1e-3})
+    answers = []
+    for action in ([1e300, 2.0, -7.0], [1.0, 1.0, -1.0]):
+        env.reset(seed=0)
+        answers.append(env.step(np.array(action))[0])
+    assert np.array_equal(answers[0], answers[1])
+    for wrong in ([0, 0], [0, math.nan, 0], "up"):
+        with pytest.raises(ValueError, match=r"^action"):
+            env.step(wrong)
+    assert np.array_equal(env.episode.task.observation(env.episode.now), answers[1])
 
 
 def test_an_episode_ends_after_64_steps(make: Callable[..., TissueRetractEnv]) -> None:
@@ -227,6 +243,20 @@ def test_frames(make: Callable[..., TissueRetractEnv]) -> None:
         assert frame is not None and frame.shape == (480, 640, 3) and frame.dtype == np.uint8
     assert len({frame.tobytes() for frame in frames if frame is not None}) == 3
     assert make().render() is None
+
+
+def test_bullets_own_picture_begins_when_the_jaws_close(make: Callable[..., TissueRetractEnv]) -> None:
+    env = make(BULLET, camera="3d", render_mode="rgb_array")
+    section = make(BULLET, render_mode="rgb_array")
+    frames = []
+    for each in (env, section):
+        each.reset(seed=0)
+        frames.append(each.render())
+        each.step(np.zeros(3))
+        frames.append(each.render())
+    assert all(frame is not None and frame.shape == (480, 640, 3) for frame in frames)
+    same = [bool(np.array_equal(a, b)) for a, b in zip(frames[:2], frames[2:], strict=True)]  # type: ignore[arg-type]
+    assert same == [True, False]
 
 
 def test_pixels_show_the_episode(make: Callable[..., TissueRetractEnv]) -> None:

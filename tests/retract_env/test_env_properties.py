@@ -12,13 +12,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import retract_env  # noqa: F401  (registers the environments)
 from retract_env import task
 from retract_env.rollout import rollout
 from retract_env.scene import LineOfSight
 from retract_env.task import SLICES, default_scene
+from tests.retract_env.playing import BULLET, FEM
 
 seeds = st.integers(0, 2**31 - 1)
+
+
+def coarse(name: str, **options: Any) -> Any:
+    if name == BULLET:
+        pytest.importorskip("pybullet")
+    return gym.make(name, resolution="coarse", **options).unwrapped
 
 
 def check_episode(env: Any, policy: Any, seed: int, options: dict[str, Any] | None = None) -> str:
@@ -83,27 +89,30 @@ class Upwards:
         return (self.rng.uniform(0.3, 1) * lift).astype(np.float32)
 
 
+@pytest.mark.parametrize("name", [FEM, BULLET])
 @settings(max_examples=8, deadline=None, derandomize=True)
 @given(seeds, st.sampled_from([Rough, Upwards]))
-def test_random_actions_in_random_scenes(seed: int, policy: Any) -> None:
-    env = gym.make("TissueRetractFEM-v0", scene="random").unwrapped
+def test_random_actions_in_random_scenes(name: str, seed: int, policy: Any) -> None:
+    env = coarse(name, scene="random")
     check_episode(env, policy(seed), seed)
     env.close()
 
 
 @pytest.mark.slow
-@settings(max_examples=150, deadline=None)
+@pytest.mark.parametrize("name", [FEM, BULLET])
+@settings(max_examples=100, deadline=None)
 @given(seeds, st.sampled_from([Rough, Upwards]), st.sampled_from(["agent", "spring"]))
-def test_many_random_actions_in_random_scenes(seed: int, policy: Any, grasp: str) -> None:
-    env = gym.make("TissueRetractFEM-v0", scene="random", grasp=grasp).unwrapped
+def test_many_random_actions_in_random_scenes(name: str, seed: int, policy: Any, grasp: str) -> None:
+    env = coarse(name, scene="random", grasp=grasp)
     check_episode(env, policy(seed), seed)
     env.close()
 
 
+@pytest.mark.parametrize("name", [FEM, pytest.param(BULLET, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("first", list(product([-1.0, 1.0], repeat=2)), ids=str)
-def test_extremes_held_to_the_end(first: tuple[float, float]) -> None:
+def test_extremes_held_to_the_end(name: str, first: tuple[float, float]) -> None:
     """Each corner of the grasps, then each corner of the moves for as long as it lasts."""
-    env = gym.make("TissueRetractFEM-v0").unwrapped
+    env = coarse(name)
     ends = set()
     for corner in product([-1.0, 1.0], repeat=3):
         held = iter([np.array([*first, 0.0], np.float32)] + [np.array(corner, np.float32)] * task.MAX_STEPS)
@@ -122,7 +131,7 @@ def test_lifting_succeeds_now_and_then(seed: int) -> None:
             "limits": scene.limits.model_copy(update={"friction": 2.0}),
         }
     )
-    env = gym.make("TissueRetractFEM-v0", scene=scene.dump()).unwrapped
+    env = coarse(FEM, scene=scene.dump())
     ends = {check_episode(env, Upwards(seed), seed) for seed in range(10 * seed, 10 * seed + 6)}
     assert "ok" in ends
     env.close()

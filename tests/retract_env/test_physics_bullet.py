@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from planners.paths import INCREMENTS, ctc
 from retract_env.fem.linear import cholesky
-from retract_env.grasp import Grasp, to_jaws
+from retract_env.grasp import Grasp, to_jaws, to_pose
 from retract_env.physics.base import Diverged, Physics, TissueState
 from retract_env.physics.bullet import BulletPhysics, BulletResolution
 from retract_env.physics.fem import FemPhysics
@@ -215,8 +215,9 @@ def test_what_lags_is_small(make: Make) -> None:
     for k in (1, *range(6, INCREMENTS + 2, 5)):
         state = physics.move_to(poses[k])
     rest = physics.settle()
-    assert np.abs(state.points - rest.points).max() < 1.5e-3
-    assert state.max_strain == pytest.approx(rest.max_strain, rel=0.03)
+    # what the docs say; 1 % of the flap's length
+    assert np.abs(state.points - rest.points).max() < 5e-4
+    assert state.max_strain == pytest.approx(rest.max_strain, rel=0.01)
 
 
 def test_states_fit_the_section(make: Make) -> None:
@@ -315,6 +316,20 @@ def test_a_torn_flap_raises_and_keeps_the_last_good_state(make: Make) -> None:
     after = physics.move_to(pose, 4.0)
     assert np.abs(after.points - good.points).max() < 1.5e-3
     assert after.max_strain == pytest.approx(good.max_strain, rel=0.05)
+
+
+def test_a_move_that_tears_ends_where_the_limit_is_broken() -> None:
+    """Right at the fixed end there is no room for a whole step."""
+    x, limit = -6e-4, 0.5
+    physics = BulletPhysics(flap(), x, "coarse", stop_when=lambda state: state.max_strain > limit)
+    physics.reset()
+    start = np.array([x, HEIGHT / 2, 0.0, 0.98 * HEIGHT])
+    physics.move_to(start, 1.0)
+    state = physics.move_to(start + np.array([-2e-3, 2e-3, 0.1, 0.0]))
+    assert state.max_strain > limit
+    moved = to_pose(state.jaws) - start
+    assert moved[:3] / [-2e-3, 2e-3, 0.1] == pytest.approx(moved[0] / -2e-3) and 0 < moved[1] < 2e-3
+    physics.close()
 
 
 @pytest.mark.parametrize("pose", [[np.nan, 0, 0, 1], [0, 0, np.inf, 1], [0, 0, 0]])

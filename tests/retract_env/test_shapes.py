@@ -16,6 +16,15 @@ def test_the_hidden_region_of_a_wall_is_its_shadow() -> None:
     assert np.allclose(hidden_region(wall, (2.0, 2.0)), [(0.0, 0.0), (0.0, 1.0), (-2.0, 0.0)])
 
 
+def test_the_hidden_region_is_bounded_by_the_ray_that_meets_the_bed_first() -> None:
+    box = np.array([(0.0, 0.0), (-4.0, 0.0), (-4.0, 2.0), (0.0, 2.0), (0.0, 0.0)])
+    # It stands on the bed with its foot at (-4, 0), and nothing before that is hidden.
+    assert np.allclose(hidden_region(box, (-10.0, 8.0)), [(0, 0), (-4, 0), (-4, 0)])
+    # Lifted by 1, the ray over (-4, 1) goes 6 across and 7 down: 48 / 7 across when it meets the bed, 8 down.
+    lifted_box = hidden_region(box + np.array((0.0, 1.0)), (-10.0, 8.0))
+    assert np.allclose(lifted_box[-2:], [(-4, 1), (-10 + 48 / 7, 0)])
+
+
 def test_the_outline_runs_from_the_foot_of_the_fixed_end_along_the_lower_surface_and_round() -> None:
     lift = lifted()
     points = lift.physics.section.points
