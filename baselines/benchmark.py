@@ -1,0 +1,84 @@
+"""The benchmark: methods times frozen scenes, each pair a task whose row the journal keeps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from baselines.journal import Row
+from baselines.methods import Method
+from baselines.policies import JSON
+from baselines.splits import Benchmark, BenchmarkError
+from baselines.tasks import code_version
+
+TRANSFERRED = ("policy",)
+"""Kinds of methods that are played on the other physics too."""
+
+
+def methods_of(benchmark: Benchmark, policies: Path | None) -> list[Method]:
+    """All planners of the benchmark, every policy under a folder, a random policy, doing nothing.
+
+    Raises BenchmarkError, and PolicyError for a folder that holds no sound policy.
+    """
+    from planners import PLANNERS
+
+    for name in benchmark.planners:
+        if name not in PLANNERS:
+            raise BenchmarkError(f"planners: {name!r}, allowed {', '.join(PLANNERS)}")
+    found = [Method("planner", name) for name in benchmark.planners]
+    if policies is not None:
+        folders = sorted(file.parent for file in policies.rglob(JSON))
+        if not folders:
+            raise BenchmarkError(f"{policies}: holds no policy")
+        trained = [Method.trained(folder) for folder in folders]
+        seen: dict[tuple[str, int], str] = {}
+        for method in trained:
+            other = seen.setdefault((method.name, method.run), method.folder)
+            if other != method.folder:
+                raise BenchmarkError(
+                    f"{method.folder} and {other}: both are {method.name}, seed {method.run}"
+                )
+        found += sorted(trained, key=lambda m: (m.name, m.run))
+    return [*found, Method("random", "random"), Method("nothing", "nothing")]
+
+
+def tasks_of(
+    benchmark: Benchmark,
+    methods: Sequence[Method],
+    splits: Sequence[str],
+    most: int | None = None,
+    transfer: bool = False,
+) -> list[dict[str, Any]]:
+    """One task for each method and scene, for `methods.compete`.
+
+    most: scenes of each split; transfer: whether policies are played on Bullet too. Raises BenchmarkError for
+    an unknown split, or one whose scenes have changed.
+    """
+    tasks = []
+    for name in splits:
+        if name not in benchmark.splits:
+            raise BenchmarkError(f"split = {name!r}, allowed {', '.join(benchmark.splits)}")
+        for number, scene in enumerate(benchmark.splits[name].scenes(most)):
+            for method in methods:
+                tasks.append(
+                    {
+                        "method": asdict(method),
+                        "split": name,
+                        "number": number,
+                        "scene": scene.dump(),
+                        "resolution": benchmark.resolution,
+                        "policy_resolution": benchmark.policy_resolution,
+                        "lead_out": benchmark.lead_out,
+                        "seed": benchmark.seed,
+                        "transfer": transfer and method.kind in TRANSFERRED,
+                        "code": code_version(),
+                    }
+                )
+    return tasks
+
+
+def numbers(rows: Sequence[Row]) -> list[Row]:
+    """The rows without what depends on the machine: the same for any number of workers, run after run."""
+    return [{key: value for key, value in row.items() if key != "timing"} for row in rows]
