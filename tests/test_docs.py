@@ -1,0 +1,70 @@
+"""docs/environment.md against the code: its tables say what the task says, and its examples run."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from retract_env import actions, task
+from retract_env.env import TissueRetractEnv
+from retract_env.mesh import SLIVER
+from retract_env.task import LAYOUT, SLICES
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGE = (ROOT / "docs" / "environment.md").read_text("utf-8")
+EXAMPLES = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+NEEDS = {"stable_baselines3": "stable_baselines3", "RecordVideo": "moviepy"}
+
+
+def rows(text: str, heading: str) -> list[list[str]]:
+    """Cells of the tables' rows under a heading, without their heads."""
+    section = text.partition(f"## {heading}\n")[2].partition("\n## ")[0]
+    lines = [line.strip() for line in section.splitlines() if line.strip().startswith("|")]
+    cells = [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines]
+    heads = {k - 1 for k, row in enumerate(cells) if all(re.fullmatch(r"-+:?", cell) for cell in row)}
+    return [row for k, row in enumerate(cells) if k not in heads and k - 1 not in heads]
+
+
+def test_the_observations_are_the_layout() -> None:
+    for row, part in zip(rows(PAGE, "Observations"), LAYOUT, strict=True):
+        span = SLICES[part.name]
+        numbers = str(span.start) if part.size == 1 else f"{span.start}-{span.stop - 1}"
+        assert row == [numbers, f"`{part.name}`", part.meaning, f"{part.low:g}", f"{part.high:g}", part.unit]
+    assert f"{task.SIZE} numbers with finite bounds" in PAGE
+
+
+def test_the_reward_has_the_tasks_terms_and_weights() -> None:
+    documented = {name: float(weight) for name, weight, _ in rows(PAGE, "Rewards and ends")}
+    assert documented == {f"`{name}`": weight for name, weight in task.WEIGHTS.items()}
+    assert f"truncated after {task.MAX_STEPS} steps" in PAGE
+
+
+def test_the_actions_are_those_of_the_docstring_and_of_the_code() -> None:
+    documented = rows(PAGE, "Actions")
+    assert documented == rows(inspect.cleandoc(TissueRetractEnv.__doc__ or ""), "Action Space")
+    (x, compression, none), moves = documented[:3], documented[3:]
+    assert x[3] == f"{0.5 + SLIVER:g} jaw widths before the fixed end" and none[1] == "none"
+    assert compression[2:] == [f"{share:g} height" for share in actions.COMPRESSION]
+    steps = np.array([float(row[3].split()[0]) for row in moves]) * [1e-3, 1e-3, np.radians(1)]
+    assert steps == pytest.approx(actions.STEP)
+
+
+def test_every_argument_is_listed_with_its_default() -> None:
+    listed = {name.strip("`"): default.strip("`") for name, default, _ in rows(PAGE, "Arguments")}
+    parameters = list(inspect.signature(TissueRetractEnv).parameters.values())[1:]  # the id is the physics
+    assert listed == {p.name: f'"{p.default}"' if p.default else "None" for p in parameters}
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=range(len(EXAMPLES)))
+def test_examples_run(example: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for word, module in NEEDS.items():
+        if word in example:
+            pytest.importorskip(module)
+    (tmp_path / "configs").symlink_to(ROOT / "configs")
+    monkeypatch.chdir(tmp_path)
+    shorter = example.replace("total_timesteps=100_000", "total_timesteps=8")
+    exec(compile(shorter, "docs/environment.md", "exec"), {})
