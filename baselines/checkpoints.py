@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import io
 import pickle
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +48,9 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     if hashlib.sha256(content).hexdigest().encode() + b"\n" != data[len(MAGIC) : head]:
         raise CheckpointError(f"{path}: corrupted, its content does not match its hash")
     try:
-        state: dict[str, Any] = torch.load(io.BytesIO(content), weights_only=True, map_location="cpu")
-    except (RuntimeError, pickle.UnpicklingError, EOFError, ValueError) as error:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # torch warns of pickles that it did not write
+            state: dict[str, Any] = torch.load(io.BytesIO(content), weights_only=True, map_location="cpu")
+    except (RuntimeError, pickle.UnpicklingError, EOFError, ValueError, UserWarning) as error:
         raise CheckpointError(f"{path}: not readable: {str(error).splitlines()[0]}") from None
     return state
