@@ -56,9 +56,7 @@ def share_chart(found: Sequence[Summary]) -> bytes:
         axes.set_xlim(0, 1)
         axes.xaxis.set_major_formatter(PercentFormatter(1))
         axes.set_xlabel("scenes")
-        axes.legend(
-            loc="upper center", bbox_to_anchor=(0.5, -0.16 - 0.5 / len(found)), ncols=6, frameon=False
-        )
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1 - 0.4 / len(found)), ncols=6, frameon=False)
 
     return _png(draw, 1.3 + 0.32 * len(found))
 
@@ -104,7 +102,7 @@ def curve_chart(curves: Mapping[str, Sequence[Sequence[Mapping[str, Any]]]]) -> 
         axes.set_ylim(-0.02, 1.02)
         axes.xaxis.set_major_formatter(PercentFormatter(1))
         axes.yaxis.set_major_formatter(PercentFormatter(1))
-        axes.set_xlabel("of the steps up to the policy that was kept")
+        axes.set_xlabel("of the training's steps")
         axes.set_ylabel("episodes that succeed")
         axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
 

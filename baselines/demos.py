@@ -95,7 +95,7 @@ def write_dataset(name: str, rows: Sequence[Row], task: Task, command: str) -> i
 
     good = [row for row in rows if row["episode"] is not None]
     if not good:
-        raise DemosError(f"{len(rows)} scenes, none of them demonstrated: {rows[0]['failure']}")
+        raise DemosError(f"{len(rows)} scenes, none demonstrated: {rows[0]['failure']}")
     env = gym.make(ENV, **KWARGS)
     width, size = env.observation_space.shape[0], env.action_space.shape[0]  # type: ignore[index]
     buffers = []

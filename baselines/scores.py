@@ -7,7 +7,6 @@ their 95 % bootstrap intervals, are rliable's (Agarwal et al., NeurIPS 2021).
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -118,16 +117,14 @@ def intervals(
     """Statistic of each (runs, scenes) array, and its 95 % interval over resampled runs and scenes."""
     from rliable.library import get_interval_estimates
 
-    with warnings.catch_warnings():
-        # rliable knows no other way
-        warnings.filterwarnings("ignore", "random_state is deprecated", FutureWarning)
+    state = np.random.get_state()  # noqa: NPY002, rliable draws from NumPy's global generator
+    np.random.seed(seed)  # noqa: NPY002
+    try:
         points, ends = get_interval_estimates(
-            values,
-            lambda x: np.array([statistic(x)]),
-            task_bootstrap=True,
-            reps=bootstrap,
-            random_state=np.random.RandomState(seed),
+            values, lambda x: np.array([statistic(x)]), task_bootstrap=True, reps=bootstrap
         )
+    finally:
+        np.random.set_state(state)  # noqa: NPY002
     return {n: Interval(float(points[n][0]), float(ends[n][0, 0]), float(ends[n][1, 0])) for n in values}
 
 

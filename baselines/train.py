@@ -145,7 +145,10 @@ def _legs(
             {"run": run.to_json()["hash"], "agent": agent.state(), "curve": curve, "best": best},
         )
         on_progress(Progress(agent.steps, total, last))
-    return load_policy(folder / POLICY)
+    kept = load_policy(folder / POLICY)
+    kept = replace(kept, training={**kept.training, "curve": curve})  # what came after it too
+    save_policy(kept, folder / POLICY)
+    return kept
 
 
 def _agent(run: Run, folder: Path, envs: Any) -> Agent:

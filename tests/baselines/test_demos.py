@@ -103,9 +103,7 @@ def test_demonstrated_scenes_are_none_of_the_benchmarks() -> None:
 
 @pytest.mark.parametrize("name", ["", "no version", "a/b", "../up-v0"])
 def test_a_name_that_is_none_is_refused(name: str) -> None:
-    with pytest.raises(
-        demos.DemosError, match=r"^dataset = .*, allowed names such as tissue-retract/ctc-v0$"
-    ):
+    with pytest.raises(demos.DemosError, match=r"^dataset = .*, allowed names such as "):
         demos.check_free(name)
 
 
@@ -128,9 +126,7 @@ def test_what_is_missing_or_broken_is_said(
     finally:
         broken.write_bytes(whole)
     failed = [row | {"episode": None, "failure": "1 candidates: 1 slip"} for row in rows]
-    with pytest.raises(
-        demos.DemosError, match=r"^2 scenes, none of them demonstrated: 1 candidates: 1 slip$"
-    ):
+    with pytest.raises(demos.DemosError, match=r"^2 scenes, none demonstrated: 1 candidates: 1 slip$"):
         demos.write_dataset("toy/failed-v0", failed, tasks[0], "retract demos")
 
 

@@ -113,7 +113,10 @@ def test_a_run_leaves_what_it_says(whole: Callable[[str], Path]) -> None:
     assert [line.split(",")[0] for line in lines[1:]] == ["16", "32", "48"]
     policy = load_policy(folder / train.POLICY)
     assert policy.training["recipe"]["algorithm"] == "ppo" and policy.training["seed"] == 0
-    assert policy.scores["validation"] == policy.training["curve"][-1]
+    curve = policy.training["curve"]
+    assert [line["steps"] for line in curve] == [16, 32, 48]
+    assert policy.scores["validation"] in curve
+    assert policy.scores["validation"]["quality"] == max(line["quality"] for line in curve)
 
 
 def test_another_seed_is_another_run(tmp_path: Path, whole: Callable[[str], Path]) -> None:
