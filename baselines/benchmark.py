@@ -24,10 +24,11 @@ def methods_of(benchmark: Benchmark, policies: Path | None) -> list[Method]:
     """
     from planners import PLANNERS
 
-    for name in benchmark.planners:
+    names = (*benchmark.planners, *benchmark.slow_planners)
+    for name in names:
         if name not in PLANNERS:
             raise BenchmarkError(f"planners: {name!r}, allowed {', '.join(PLANNERS)}")
-    found = [Method("planner", name) for name in benchmark.planners]
+    found = [Method("planner", name) for name in names]
     if policies is not None:
         folders = sorted(file.parent for file in policies.rglob(JSON))
         if not folders:
@@ -51,7 +52,7 @@ def tasks_of(
     most: int | None = None,
     transfer: bool = False,
 ) -> list[dict[str, Any]]:
-    """One task for each method and scene, for `methods.compete`.
+    """One task for each method and scene that it is judged on, for `methods.compete`.
 
     most: scenes of each split; transfer: whether policies are played on Bullet too. Raises BenchmarkError for
     an unknown split, or one whose scenes have changed.
@@ -62,6 +63,8 @@ def tasks_of(
             raise BenchmarkError(f"split = {name!r}, allowed {', '.join(benchmark.splits)}")
         for number, scene in enumerate(benchmark.splits[name].scenes(most)):
             for method in methods:
+                if method.name in benchmark.slow_planners and number >= benchmark.slow_scenes:
+                    continue
                 tasks.append(
                     {
                         "method": asdict(method),

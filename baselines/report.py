@@ -23,6 +23,7 @@ Curves = Mapping[str, Sequence[Sequence[Mapping[str, Any]]]]
 """Training's lines, by method, one list for each seed."""
 
 LEGEND = """\
+**scenes**: how many, the first of the split, where a method was not judged on all of them.
 **certified**: share of scenes that the certifier passes on its mesh `{resolution}`, with the 95 %
 interval over scenes and training seeds. **of ctc's**: the same among the scenes that ctc certifies.
 **score**: interquartile mean of the least certified strain known for the scene over the method's, 0
@@ -76,6 +77,7 @@ def table_of(summary: Sequence[Summary]) -> tuple[list[str], list[list[str]]]:
     """Head and lines of the table; columns that say nothing are left out."""
     columns = {
         "method": [s.method + (f" ({s.runs} seeds)" if s.runs > 1 else "") for s in summary],
+        "scenes": [str(s.scenes) if s.scenes < _most(summary) else "" for s in summary],
         "certified": [_interval(s.certified, percent=True) for s in summary],
         "of ctc's": [_percent(s.of_reference) for s in summary],
         "failures": [_failures(s) for s in summary],
@@ -107,7 +109,7 @@ def _markdown(
 ) -> str:
     parts = ["# Benchmark", f"`{command}`", LEGEND.format(resolution=resolution)]
     for split, summary in found.items():
-        parts += [f"## {split}: {summary[0].scenes} scenes", in_text(summary)]
+        parts += [f"## {split}: {_most(summary)} scenes", in_text(summary)]
         parts += [f"![{t}]({name})" for name, (t, _) in charts.items() if name.startswith(f"{NAME}-{split}-")]
     if (training := f"{NAME}-training.png") in charts:
         parts += ["## Training", f"![{charts[training][0]}]({training})"]
@@ -126,7 +128,7 @@ def _page(
     parts = ["<h1>Benchmark</h1>", f"<p><code>{html.escape(command)}</code></p>", f"<p>{''.join(legend)}</p>"]
     for split, summary in found.items():
         head, lines = table_of(summary)
-        parts.append(f"<h2>{html.escape(split)}: {summary[0].scenes} scenes</h2><table><tr>")
+        parts.append(f"<h2>{html.escape(split)}: {_most(summary)} scenes</h2><table><tr>")
         parts += [f"<th>{html.escape(cell)}</th>" for cell in head]
         for line in lines:
             parts += ["</tr><tr>", *(f"<td>{html.escape(cell)}</td>" for cell in line)]
@@ -153,6 +155,11 @@ def _csv(rows: Sequence[Row]) -> str:
     writer.writeheader()
     writer.writerows(rows)
     return text.getvalue()
+
+
+def _most(summary: Sequence[Summary]) -> int:
+    """Scenes of the split that was judged."""
+    return max(s.scenes for s in summary)
 
 
 def _failures(summary: Summary) -> str:

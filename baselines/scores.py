@@ -66,15 +66,12 @@ class Summary:
 
 def summaries(rows: Sequence[Row], seed: int, bootstrap: int) -> list[Summary]:
     """One for each method, most certified first, then by score. The rows are those of one split."""
-    names = list(dict.fromkeys(row["method"] for row in rows))
-    scenes = sorted({row["number"] for row in rows})
-    best = best_known(rows)
+    best, table = best_known(rows), _tables(rows)
     reference = {row["number"] for row in rows if row["method"] == REFERENCE and row["certified"]}
-    table = {name: _matrix([row for row in rows if row["method"] == name], scenes) for name in names}
     certified = intervals({n: _values(t, _certified) for n, t in table.items()}, np.mean, seed, bootstrap)
     scores = {n: _values(t, lambda row: score(row, best)) for n, t in table.items()}
     middle = intervals(scores, interquartile_mean, seed, bootstrap)
-    found = [_summary(name, table[name], certified[name], middle[name], best, reference) for name in names]
+    found = [_summary(name, table[name], certified[name], middle[name], best, reference) for name in table]
     return sorted(found, key=lambda s: (-s.certified.value, -s.score.value, s.method))
 
 
@@ -93,15 +90,9 @@ def score(row: Row, best: dict[int, float]) -> float:
 
 
 def scores_by_method(rows: Sequence[Row]) -> dict[str, Array]:
-    """(runs, scenes) scores of each method."""
-    scenes, best = sorted({row["number"] for row in rows}), best_known(rows)
-    names = list(dict.fromkeys(row["method"] for row in rows))
-    return {
-        name: _values(
-            _matrix([row for row in rows if row["method"] == name], scenes), lambda row: score(row, best)
-        )
-        for name in names
-    }
+    """(runs, scenes) scores of each method, over the scenes that it was judged on."""
+    best = best_known(rows)
+    return {name: _values(table, lambda row: score(row, best)) for name, table in _tables(rows).items()}
 
 
 def interquartile_mean(scores: Array) -> float:
@@ -128,11 +119,14 @@ def intervals(
     return {n: Interval(float(points[n][0]), float(ends[n][0, 0]), float(ends[n][1, 0])) for n in values}
 
 
-def _matrix(rows: Sequence[Row], scenes: Sequence[int]) -> list[list[Row]]:
-    """Rows by run, then by scene."""
-    runs = sorted({row["run"] for row in rows})
-    place = {(row["run"], row["number"]): row for row in rows}
-    return [[place[run, number] for number in scenes] for run in runs]
+def _tables(rows: Sequence[Row]) -> dict[str, list[list[Row]]]:
+    """Rows of each method by run, then by scene."""
+    found: dict[str, list[list[Row]]] = {}
+    for name in dict.fromkeys(row["method"] for row in rows):
+        place = {(row["run"], row["number"]): row for row in rows if row["method"] == name}
+        runs, scenes = (sorted({key[k] for key in place}) for k in (0, 1))
+        found[name] = [[place[run, number] for number in scenes] for run in runs]
+    return found
 
 
 def _values(matrix: list[list[Row]], value: Callable[[Row], float]) -> Array:

@@ -81,6 +81,10 @@ class Benchmark(_Part):
     bootstrap: Annotated[int, whole(10, 10**6)]
     """Resamples behind an interval."""
     planners: Annotated[tuple[str, ...], Listed]
+    """Judged on every scene."""
+    slow_planners: Annotated[tuple[str, ...], Listed] = ()
+    """Judged on the first `slow_scenes` of each split only."""
+    slow_scenes: Annotated[int, whole(1, 100_000)] = 20
 
 
 def hash_of(scenes: list[Scene]) -> str:

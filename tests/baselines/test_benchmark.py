@@ -164,7 +164,14 @@ def test_trained_policies_are_found_at_any_depth(benchmark: Benchmark, tmp_path:
     for seed in (1, 0):
         save_policy(policy(seed), tmp_path / "a" / f"seed{seed}" / "policy")
     found = methods_of(benchmark, tmp_path)
-    assert [m.name for m in found] == [*benchmark.planners, "toy", "toy", "random", "nothing"]
+    assert [m.name for m in found] == [
+        *benchmark.planners,
+        *benchmark.slow_planners,
+        "toy",
+        "toy",
+        "random",
+        "nothing",
+    ]
     assert [m.run for m in found if m.kind == "policy"] == [0, 1]
     contents = {m.content for m in found if m.kind == "policy"}
     assert len(contents) == 2
@@ -183,6 +190,15 @@ def test_tasks_are_plain_and_name_the_code(benchmark: Benchmark) -> None:
     assert all(task["resolution"] == "fine" and "+" in task["code"] for task in tasks)
     with pytest.raises(BenchmarkError, match=r"^split = 'exam', allowed validation, test, shifted$"):
         tasks_of(benchmark, [], ["exam"])
+
+
+def test_slow_planners_are_judged_on_the_first_scenes_only(benchmark: Benchmark) -> None:
+    few = benchmark.model_copy(update={"slow_scenes": 2})
+    tasks = tasks_of(few, methods_of(few, None), ["validation"])
+    numbers = {
+        name: [t["number"] for t in tasks if t["method"]["name"] == name] for name in ("ctc", "elastica")
+    }
+    assert numbers == {"ctc": list(range(32)), "elastica": [0, 1]}
 
 
 @pytest.mark.slow
@@ -251,6 +267,18 @@ def test_scores_compare_with_the_best_known_of_each_scene(rows: list[Row]) -> No
         assert summary.certified.low <= summary.certified.value <= summary.certified.high
         assert summary.score.low <= summary.score.value <= summary.score.high
     assert str(summaries(rows, 0, 200)) == str([first, second])
+
+
+def test_a_method_is_scored_on_the_scenes_that_it_was_judged_on(rows: list[Row]) -> None:
+    pytest.importorskip("rliable")
+    from baselines.report import in_text
+    from baselines.scores import summaries
+
+    found = summaries([*rows, *made_up("slow", [0.1, 0.1])], 0, 50)
+    assert {s.method: s.scenes for s in found} == {"ctc": 4, "mine": 4, "slow": 2}
+    slow = next(s for s in found if s.method == "slow")
+    assert slow.certified.value == 1 and slow.of_reference == 1 and slow.excess == pytest.approx(0)
+    assert "| slow | 2 | 100 % (" in in_text(found) and "| ctc |  | 75 % (" in in_text(found)
 
 
 def test_the_interquartile_mean_is_that_of_the_middle_half() -> None:
