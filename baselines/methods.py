@@ -21,6 +21,7 @@ import retract_env  # noqa: F401  (registers the environments)
 from baselines.journal import Row, Task
 from baselines.policies import TENSORS, Policy, PolicyError, load_policy
 from planners import NoPlan, certify, plan
+from planners.base import PROMISING
 from retract_env.grasp import Grasp, JawPath
 from retract_env.rollout import Policy as Acting
 from retract_env.rollout import rollout
@@ -131,7 +132,7 @@ def _planned(method: Method, scene: Scene, task: Task) -> HandedIn:
     try:
         best = plan(scene, method.name, task["resolution"], workers=1)
     except NoPlan as none:
-        reasons = Counter(str(c.reason) for c in none.candidates if c.reason != "pruned")
+        reasons = Counter(str(c.reason) for c in none.candidates if c.reason not in ("pruned", PROMISING))
         commonest = min(reasons, key=lambda r: (-reasons[r], r)) if reasons else "not_visible"
         spent = sum(c.increments for c in none.candidates)
         return HandedIn(reason=commonest, evaluations=spent, seconds=time.perf_counter() - start)

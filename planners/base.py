@@ -13,6 +13,10 @@ from retract_env.grasp import Grasp, JawPath
 from retract_env.scene import Scene
 
 
+PROMISING = "promising"
+"""Reason of a candidate that would be certified, were the mesh that it was tried on not too coarse for that."""
+
+
 @dataclass
 class Candidate:
     """One retraction that a planner tried, and what came of it."""
@@ -23,7 +27,7 @@ class Candidate:
     status: str = "waiting"
     """waiting, squeezing, squeezed, moving, done"""
     reason: str | None = None
-    """why it ended: a certificate's reason, "pruned" or "unmeshable"; None while under way"""
+    """why it ended: a certificate's reason, "pruned", "unmeshable", or PROMISING; None while under way"""
     max_strain: float = math.nan
     """eps_max so far"""
     required_friction: float = math.nan

@@ -9,15 +9,15 @@ it. A slight pull along the flap, finally, takes strain off the side that bendin
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from planners import paths
-from planners.base import Candidate, NoPlan, Plan
+from planners.base import PROMISING, Candidate, NoPlan, Plan
 from planners.certify import Trial
-from planners.generate_and_test import generate_and_test
+from planners.generate_and_test import OnUpdate, generate_and_test
 from retract_env.grasp import Grasp, JawPath
 from retract_env.mesh import SLIVER
 from retract_env.scene import Scene
@@ -72,6 +72,7 @@ class _Search:
     """Trials on the coarse mesh, all of them and those that hold."""
 
     scene: Scene
+    on_update: OnUpdate | None = None
     tried: list[Candidate] = field(default_factory=list)
     holds: list[Candidate] = field(default_factory=list)
 
@@ -87,13 +88,15 @@ class _Search:
             grasp,
             trial.path,
             "done",
-            trial.reason,
+            PROMISING if trial.reason == "ok" else trial.reason,
             trial.max_strain,
             trial.required_friction,
             trial.clearance,
             len(trial.frames) - 1,
         )
         self.tried.append(candidate)
+        if self.on_update is not None:
+            self.on_update(self.tried)
         return candidate
 
 
@@ -102,15 +105,15 @@ def plan_eased(
     *,
     resolution: str,
     workers: int | None,
-    on_update: Callable[[Sequence[Candidate]], None] | None,
+    on_update: OnUpdate | None,
 ) -> Plan:
     """Search on the coarse mesh, then hand in the first that is certified. Raises NoPlan."""
-    searched = search(scene)
+    searched = search(scene, on_update)
     tried = list(searched.tried)
     for held in sorted(searched.holds, key=lambda c: (c.max_strain, c.index)):
         proposal = held.grasp, eased(scene, held.grasp)
         try:
-            plan = generate_and_test(scene, [proposal], "eased", resolution, workers, on_update)
+            plan = generate_and_test(scene, [proposal], "eased", resolution, workers, after(tried, on_update))
         except NoPlan as none:
             tried += none.candidates
         else:
@@ -118,13 +121,18 @@ def plan_eased(
     raise NoPlan(tried)
 
 
-def search(scene: Scene) -> _Search:
+def after(tried: Sequence[Candidate], on_update: OnUpdate | None) -> OnUpdate | None:
+    """on_update that is also shown the candidates tried before."""
+    return None if on_update is None else lambda candidates: on_update([*tried, *candidates])
+
+
+def search(scene: Scene, on_update: OnUpdate | None = None) -> _Search:
     """Try compressions on the coarse mesh, and another place where none holds."""
     tissue, line, width = scene.tissue, scene.line_of_sight, scene.jaws.width
     radius = paths.goal_radius(line.camera, line.target) / tissue.length
     place, first = (float(np.interp(radius, RADII, values)) for values in (PLACES, FIRST))
     low, high = -tissue.length + width / 2, -(0.5 + SLIVER) * width * (1 + 1e-6)
-    under_way = _Search(scene)
+    under_way = _Search(scene, on_update)
     for aside in ASIDE:
         _compressions(under_way, float(np.clip(-(place + aside) * tissue.length, low, high)), first)
         if under_way.holds:
@@ -138,7 +146,7 @@ def _compressions(search: _Search, x: float, first: float) -> None:
     for _ in range(MOST_TRIALS):
         candidate = search.attempt(x, compression)
         share = candidate.required_friction / search.scene.limits.friction
-        if candidate.reason == "ok":
+        if candidate.reason == PROMISING:
             if share <= ENOUGH[1]:
                 search.holds.append(candidate)
             if ENOUGH[0] <= share <= ENOUGH[1] or (compression == low and share < ENOUGH[0]):
@@ -146,7 +154,7 @@ def _compressions(search: _Search, x: float, first: float) -> None:
         elif candidate.reason not in ("slip", "release"):
             return
         # needed friction goes with one over the compression; a slip tells only that it was too little
-        factor = share / SHARE if candidate.reason == "ok" else FIRMER
+        factor = share / SHARE if candidate.reason == PROMISING else FIRMER
         if compression == high and factor > 1:
             return
         compression = float(np.clip(compression * factor, low, high))

@@ -28,9 +28,9 @@ from numpy.typing import NDArray
 from scipy.optimize import linprog
 
 from planners import eased, paths
-from planners.base import Candidate, NoPlan, Plan
+from planners.base import NoPlan, Plan
 from planners.certify import Trial
-from planners.generate_and_test import cores, generate_and_test
+from planners.generate_and_test import OnUpdate, cores, generate_and_test
 from planners.sensitivity import LinearStrain, Response, Sensitivity
 from retract_env.grasp import Grasp, JawPath
 from retract_env.mesh import SLIVER, MeshError
@@ -333,14 +333,14 @@ def plan_fem_gradient(
     *,
     resolution: str,
     workers: int | None,
-    on_update: Callable[[Sequence[Candidate]], None] | None,
+    on_update: OnUpdate | None,
 ) -> Plan:
     """Search places on the coarse mesh, improve the path at the best one on the one asked for, certify.
 
     What `eased` finds on the coarse mesh is the start, and a candidate beside. Raises NoPlan.
     """
     start = time.perf_counter()
-    searched = eased.search(scene)
+    searched = eased.search(scene, on_update)
     held = min(searched.holds, key=lambda c: (c.max_strain, c.index), default=None)
     begin = (held or searched.tried[0]).grasp
     length, width = scene.tissue.length, scene.jaws.width
@@ -367,7 +367,8 @@ def plan_fem_gradient(
 
     proposals = [*begun, *([(begin, eased.eased(scene, begin))] if held else [])]
     try:
-        plan = generate_and_test(scene, proposals, KIND, resolution, workers, on_update, trial=trial)
+        told = eased.after(searched.tried, on_update)
+        plan = generate_and_test(scene, proposals, KIND, resolution, workers, told, trial=trial)
     except NoPlan as none:
         raise NoPlan([*searched.tried, *none.candidates]) from None
     timings = {**plan.timings, "search": found - start, "total": time.perf_counter() - start}

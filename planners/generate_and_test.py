@@ -4,9 +4,9 @@ Three ways to go through the candidates give the same winner at different cost:
 
 * "none": every retraction to its end;
 * "bound" (the paper's): in order of the stability score; a retraction stops once its strain exceeds that of
-the best certified one; * "squeeze" (ours): squeeze all candidates first, which costs little and bounds their
-strain from below, then retract
-  best-first under the same bound; what squeezes worse than the best retraction is never moved at all.
+  the best certified one;
+* "squeeze" (ours): squeeze all candidates first, which costs little and bounds their strain from below, then
+  retract best-first under the same bound; what squeezes worse than the best retraction is never moved at all.
 """
 
 from __future__ import annotations

@@ -56,3 +56,11 @@ def test_a_line_that_nothing_clears_has_no_plan() -> None:
     scene = Scene.from_data(default_scene().dump() | {"line_of_sight": line})
     with pytest.raises(NoPlan, match=r"^\d+ candidates: "):
         plan(scene, "eased", "coarse", workers=1)
+
+
+def test_every_trial_is_told_as_it_ends() -> None:
+    told: list[int] = []
+    found = plan(default_scene(), "eased", "coarse", workers=1, on_update=lambda c: told.append(len(c)))
+    searched = len(found.candidates) - 1
+    assert told[:searched] == list(range(1, searched + 1))
+    assert set(told[searched:]) == {searched + 1}
