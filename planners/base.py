@@ -12,9 +12,8 @@ from planners.certify import Certificate
 from retract_env.grasp import Grasp, JawPath
 from retract_env.scene import Scene
 
-
 PROMISING = "promising"
-"""Reason of a candidate that would be certified, were the mesh that it was tried on not too coarse for that."""
+"""Reason of a candidate that would be certified, were its mesh not too coarse for that."""
 
 
 @dataclass
