@@ -41,7 +41,8 @@ class Agent:
         """log: folder for TensorBoard. Raises RecipeError."""
         self.recipe, self.envs, self.seed = recipe, envs, seed
         self.stats = cast(RunningMeanStd, envs.obs_rms)  # of one vector, not of a dictionary
-        self.started = False
+        self.started = ""
+        """name of the policy that this one began from, if it did"""
         torch.set_num_threads(1)
         self.model: Any = build(recipe, envs, seed_of(seed))
         # what goes to standard output is the progress bar's
@@ -72,7 +73,7 @@ class Agent:
         layers = self._layers()
         stats, floor = self.stats, self.recipe.observation.floor
         return Policy(
-            name=self.recipe.algorithm,
+            name=f"{self.started}+{self.recipe.algorithm}" if self.started else self.recipe.algorithm,
             weights=tuple(layer.weight.detach().numpy().copy() for layer in layers),
             biases=tuple(layer.bias.detach().numpy().copy() for layer in layers),
             mean=stats.mean.astype(np.float32),
@@ -98,11 +99,11 @@ class Agent:
                 layer.bias.copy_(torch.from_numpy(bias))
         floor = self.recipe.observation.floor
         self.normalise(policy.mean, np.maximum(policy.deviation.astype(np.float64) ** 2 - floor**2, 0.0))
-        self._start()
+        self._start(policy.name)
 
-    def _start(self) -> None:
+    def _start(self, name: str) -> None:
         """From now on the actions of the warm-up are the policy's, not random ones."""
-        self.started = True
+        self.started = name
         if isinstance(self.model, OffPolicyAlgorithm):
             model: Any = self.model
             choose = model._sample_action
@@ -147,7 +148,7 @@ class Agent:
             getattr(self.model, name).data.copy_(value)
         self.model.num_timesteps, self.model._n_updates = state["steps"], state["updates"]
         if state["started"]:
-            self._start()
+            self._start(state["started"])
         kept = state["normalisation"]
         self.stats.mean = kept["mean"].numpy().copy()
         self.stats.var = kept["variance"].numpy().copy()

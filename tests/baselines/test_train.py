@@ -165,6 +165,7 @@ def test_while_the_critic_alone_learns_the_policy_stays(tmp_path: Path) -> None:
     changes = TINY["ppo"] | {"critic_first": 1000}
     run = train.Run(recipe("ppo", 32, 16, **changes), 0, 1, [None], start=str(tmp_path / "begin"))
     after = train.train(run, tmp_path / "run")
+    assert after.name == "toy+ppo"
     for mine, theirs in zip(after.weights, _policy((64, 64)).weights, strict=True):
         assert np.array_equal(mine, theirs)
 
