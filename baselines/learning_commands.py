@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 commands = typer.Typer()
 
-EXTRA = ("minari", "rliable", "safetensors", "sb3_contrib", "stable_baselines3", "tensorboard", "torch")
+EXTRA = ("minari", "rliable", "sb3_contrib", "stable_baselines3", "tensorboard", "torch")
 """Packages of the extra `rl`."""
 
 CONFIGS = Path("configs")
@@ -126,7 +126,7 @@ def train_command(
 
 @commands.command("evaluate")
 def evaluate_command(
-    policy: Annotated[Path, typer.Option(help="Folder of a trained policy.")],
+    policy: Annotated[Path, typer.Option(help="Folder of a trained policy, or the name of a shipped one.")],
     split: Annotated[str, typer.Option(help="Which of the frozen scenes.")] = "validation",
     scenes: Annotated[int | None, typer.Option(min=1, help="Only so many.")] = None,
     transfer: Annotated[bool, typer.Option("--transfer", help="Play it on Bullet too.")] = False,
@@ -156,7 +156,8 @@ def evaluate_command(
 @commands.command("benchmark")
 def benchmark_command(
     policies: Annotated[
-        Path | None, typer.Option(help="Folder that holds trained policies, at any depth.")
+        Path | None,
+        typer.Option(help="Folder that holds trained policies, at any depth; else the shipped ones."),
     ] = None,
     split: Annotated[
         list[str] | None, typer.Option(help="Of the frozen scenes; again for another, all by default.")
@@ -176,12 +177,12 @@ def benchmark_command(
 
         from baselines.benchmark import methods_of, tasks_of
         from baselines.methods import compete
-        from baselines.policies import load_policy
+        from baselines.policies import TRAINED, load_policy
         from baselines.report import write_report
         from baselines.splits import load_benchmark
 
         about = load_benchmark(benchmark)
-        methods = methods_of(about, policies)
+        methods = methods_of(about, policies or TRAINED)
         tasks = tasks_of(about, methods, split or list(about.splits), scenes, transfer)
         announce_compilation()
         with usable_folder(out):

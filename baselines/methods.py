@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 import retract_env  # noqa: F401  (registers the environments)
 from baselines.journal import Row, Task
-from baselines.policies import TENSORS, Policy, PolicyError, load_policy
+from baselines.policies import TENSORS, Policy, PolicyError, load_policy, policy_folder
 from planners import NoPlan, certify, plan
 from planners.base import PROMISING
 from retract_env.grasp import Grasp, JawPath
@@ -47,9 +47,10 @@ class Method:
 
     @classmethod
     def trained(cls, folder: Path) -> Method:
-        """The policy in a folder. Raises PolicyError."""
+        """The policy in a folder, or a shipped one by its name. Raises PolicyError."""
         import hashlib
 
+        folder = policy_folder(folder)
         policy = load_policy(folder)
         content = hashlib.sha256((folder / TENSORS).read_bytes()).hexdigest()[:16]
         seed = policy.training.get("seed", 0)

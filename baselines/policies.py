@@ -25,6 +25,8 @@ Floats = NDArray[np.float32]
 
 FORMAT = "retract-policy-1"
 JSON, TENSORS = "policy.json", "policy.safetensors"
+TRAINED = Path(__file__).parent / "trained"
+"""Policies that come with the package, a folder each."""
 MOST_BYTES = 64 * 2**20
 """A file larger than this is no policy of ours."""
 FIELDS = ("format", "name", "layers", "activation", "output", "clip", "tensors", "env", "training", "scores")
@@ -113,9 +115,23 @@ def save_policy(policy: Policy, folder: Path) -> None:
         write_json(both.enter_context(written_whole(folder / JSON)), about)
 
 
+def shipped() -> list[str]:
+    """Names of the policies that come with the package; `load_policy` takes them for folders."""
+    return sorted(file.parent.name for file in TRAINED.glob(f"*/{JSON}"))
+
+
+def policy_folder(given: str | Path) -> Path:
+    """Where a policy lies: the folder given, or that of the shipped one of that name where there is none."""
+    folder = Path(given)
+    return TRAINED / folder if not folder.exists() and str(given) in shipped() else folder
+
+
 def load_policy(folder: str | Path) -> Policy:
-    """The policy in a folder that `save_policy` wrote. Raises PolicyError, naming the file."""
-    folder = Path(folder)
+    """The policy in a folder that `save_policy` wrote, or a shipped one by its name.
+
+    Raises PolicyError, naming the file.
+    """
+    folder = policy_folder(folder)
     about = _read_about(folder / JSON)
     data = _bytes(folder / TENSORS)
     if hashlib.sha256(data).hexdigest() != about["tensors"]:

@@ -5,17 +5,18 @@ from __future__ import annotations
 import json
 import pickle
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from baselines.policies import JSON, TENSORS, PolicyError, load_policy, save_policy
+from baselines.methods import Method, compete
+from baselines.policies import JSON, TENSORS, PolicyError, load_policy, save_policy, shipped
 from retract_env import task
+from retract_env.task import default_scene
 from tests.baselines.trained import policy
-
-pytest.importorskip("safetensors")
 
 
 def observations(count: int) -> Any:
@@ -134,3 +135,37 @@ def test_a_failed_write_leaves_the_policy_that_was_there(tmp_path: Path) -> None
         save_policy(broken, tmp_path)
     assert np.array_equal(load_policy(tmp_path).mean, policy(0).mean)
     assert {file.name for file in tmp_path.iterdir()} == {JSON, TENSORS}
+
+
+def test_shipped_policies_are_loaded_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    names = shipped()
+    assert len(names) >= 3
+    for name in names:
+        mine = load_policy(name)
+        assert mine.training["command"].startswith("retract train ")
+        assert mine.scores["validation"] in mine.training["curve"]
+        assert "/" not in json.dumps([mine.training["command"], mine.training["start"]])
+    monkeypatch.chdir(tmp_path)  # what lies there comes first
+    save_policy(policy(), tmp_path / names[0])
+    assert load_policy(names[0]).name == "toy"
+    with pytest.raises(PolicyError, match=r"policy\.json: no such file or directory"):
+        load_policy("bc-1000")
+
+
+def test_a_shipped_policy_exposes_the_target() -> None:
+    """Of a flap that no training has seen, and within the limits, by the certifier's word."""
+    row = compete(
+        {
+            "method": asdict(Method.trained(Path("bc-0"))),
+            "split": "",
+            "number": 0,
+            "scene": default_scene().dump(),
+            "resolution": "coarse",
+            "policy_resolution": "coarse",
+            "lead_out": 3,
+            "seed": 0,
+            "transfer": False,
+        }
+    )
+    assert row["certified"], row["reason"]
+    assert row["max_strain"] < 0.15  # the paper's planner needs 0.29
