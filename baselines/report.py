@@ -175,7 +175,11 @@ def _interval(interval: Interval, percent: bool = False) -> str:
 
 
 def _percent(share: float) -> str:
-    return "" if math.isnan(share) else f"{100 * share:.0f} %"
+    """Whole per cent, but neither 0 nor 100 for what is nearly so."""
+    if math.isnan(share):
+        return ""
+    nearly = share not in (0, 1) and round(share, 2) in (0, 1)
+    return f"{100 * share:.{1 if nearly else 0}f} %"
 
 
 def _number(value: float, digits: int) -> str:

@@ -307,6 +307,16 @@ def test_the_report_is_whole(rows: list[Row], tmp_path: Path) -> None:
     assert page.count("<img ") == 3 and "src='http" not in page
 
 
+@pytest.mark.parametrize(
+    ("share", "text"),
+    [(0, "0 %"), (1, "100 %"), (1 / 300, "0.3 %"), (299 / 300, "99.7 %"), (0.124, "12 %"), (np.nan, "")],
+)
+def test_nearly_all_is_not_all(share: float, text: str) -> None:
+    from baselines.report import _percent
+
+    assert _percent(share) == text
+
+
 def test_a_report_that_fails_leaves_the_old_one(
     rows: list[Row], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
