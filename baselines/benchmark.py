@@ -54,14 +54,17 @@ def tasks_of(
 ) -> list[dict[str, Any]]:
     """One task for each method and scene that it is judged on, for `methods.compete`.
 
-    most: scenes of each split; transfer: whether policies are played on Bullet too. Raises BenchmarkError for
-    an unknown split, or one whose scenes have changed.
+    splits: names, each alone or with how many of its scenes, as in "shifted:20"; most: scenes of each of the
+    others; transfer: whether policies are played on Bullet too. Raises BenchmarkError for an unknown split,
+    or one whose scenes have changed.
     """
     tasks = []
-    for name in splits:
-        if name not in benchmark.splits:
-            raise BenchmarkError(f"split = {name!r}, allowed {', '.join(benchmark.splits)}")
-        for number, scene in enumerate(benchmark.splits[name].scenes(most)):
+    for asked in splits:
+        name, colon, count = asked.partition(":")
+        if name not in benchmark.splits or (colon and not (count.isdecimal() and int(count) > 0)):
+            allowed = ", ".join(benchmark.splits)
+            raise BenchmarkError(f"split = {asked!r}, allowed {allowed}, each with :COUNT or without")
+        for number, scene in enumerate(benchmark.splits[name].scenes(int(count) if colon else most)):
             for method in methods:
                 if method.name in benchmark.slow_planners and number >= benchmark.slow_scenes:
                     continue

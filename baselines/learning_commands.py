@@ -160,7 +160,7 @@ def benchmark_command(
         typer.Option(help="Folder that holds trained policies, at any depth; else the shipped ones."),
     ] = None,
     split: Annotated[
-        list[str] | None, typer.Option(help="Of the frozen scenes; again for another, all by default.")
+        list[str] | None, typer.Option(help="Of the frozen scenes, or NAME:COUNT of them; again for another.")
     ] = None,
     scenes: Annotated[int | None, typer.Option(min=1, help="Only so many of each split.")] = None,
     transfer: Annotated[

@@ -1,4 +1,4 @@
-"""docs/environment.md against the code: its tables say what the task says, and its examples run."""
+"""The pages against the code: tables say what the task says, examples run, links lead somewhere."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ from retract_env.task import LAYOUT, SLICES
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = (ROOT / "docs" / "environment.md").read_text("utf-8")
-EXAMPLES = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+LEARNING = (ROOT / "docs" / "learning.md").read_text("utf-8")
+EXAMPLES = re.findall(r"```python\n(.*?)```", PAGE + LEARNING, re.DOTALL)
+PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
 NEEDS = {"stable_baselines3": "stable_baselines3", "RecordVideo": "moviepy"}
 
 
@@ -67,4 +69,27 @@ def test_examples_run(example: str, tmp_path: Path, monkeypatch: pytest.MonkeyPa
     (tmp_path / "configs").symlink_to(ROOT / "configs")
     monkeypatch.chdir(tmp_path)
     shorter = example.replace("total_timesteps=100_000", "total_timesteps=8")
-    exec(compile(shorter, "docs/environment.md", "exec"), {})
+    exec(compile(shorter, "example", "exec"), {})
+
+
+@pytest.mark.parametrize("page", PAGES, ids=[str(page.relative_to(ROOT)) for page in PAGES])
+def test_links_lead_somewhere(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)#\s]+)", page.read_text("utf-8")):
+        assert target.startswith("https://") or (page.parent / target).exists(), target
+
+
+def table(text: str, heading: str) -> dict[str, dict[str, str]]:
+    """The rows of the first table under a heading, by their first cell, each by column."""
+    section = text.partition(f"## {heading}")[2].partition("\n## ")[0]
+    lines = [line for line in section.splitlines() if line.startswith("|")]
+    cells = [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines]
+    head, _, *body = cells
+    return {row[0]: dict(zip(head, row, strict=True)) for row in body}
+
+
+def test_the_readme_tells_the_benchmarks_results() -> None:
+    told = table((ROOT / "README.md").read_text("utf-8"), "Planners and learners compared")
+    found = table((ROOT / "docs" / "results" / "benchmark.md").read_text("utf-8"), "test")
+    assert len(told) >= 5
+    for method, row in told.items():
+        assert row == {column: found[method][column] for column in row}

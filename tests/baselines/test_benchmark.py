@@ -188,8 +188,11 @@ def test_tasks_are_plain_and_name_the_code(benchmark: Benchmark) -> None:
     assert [task["number"] for task in tasks] == [0, 1]
     assert json.loads(json.dumps(tasks)) == tasks
     assert all(task["resolution"] == "fine" and "+" in task["code"] for task in tasks)
-    with pytest.raises(BenchmarkError, match=r"^split = 'exam', allowed validation, test, shifted$"):
-        tasks_of(benchmark, [], ["exam"])
+    both = tasks_of(benchmark, [Method("planner", "ctc")], ["validation", "shifted:3"], most=2)
+    assert [task["split"] for task in both] == ["validation"] * 2 + ["shifted"] * 3
+    for wrong in ("exam", "test:", "test:0", "test:-1", "exam:3"):
+        with pytest.raises(BenchmarkError, match=rf"^split = '{wrong}', allowed validation, test, shifted, "):
+            tasks_of(benchmark, [], [wrong])
 
 
 def test_slow_planners_are_judged_on_the_first_scenes_only(benchmark: Benchmark) -> None:
