@@ -66,7 +66,7 @@ def tasks_of(
             raise BenchmarkError(f"split = {asked!r}, allowed {allowed}, each with :COUNT or without")
         for number, scene in enumerate(benchmark.splits[name].scenes(int(count) if colon else most)):
             for method in methods:
-                if method.name in benchmark.slow_planners and number >= benchmark.slow_scenes:
+                if method.name in benchmark.slow_planners and number >= benchmark.splits[name].slow:
                     continue
                 tasks.append(
                     {

@@ -51,6 +51,8 @@ class Split(_Part):
     """Where scenes are drawn from, as `SceneRanges` has them; what is left out is its default."""
     hash: Annotated[str, Field(pattern="^[0-9a-f]{16}$")]
     """Of all scenes, so that a change of them is noticed."""
+    slow: Annotated[int, whole(0, 100_000)] = 0
+    """Scenes that slow planners are judged on too."""
 
     def scenes(self, most: int | None = None) -> list[Scene]:
         """The first `most` scenes, or all, then held to the hash. Raises BenchmarkError."""
@@ -83,8 +85,7 @@ class Benchmark(_Part):
     planners: Annotated[tuple[str, ...], Listed]
     """Judged on every scene."""
     slow_planners: Annotated[tuple[str, ...], Listed] = ()
-    """Judged on the first `slow_scenes` of each split only."""
-    slow_scenes: Annotated[int, whole(1, 100_000)] = 20
+    """Judged on the first `slow` scenes of a split only."""
 
 
 def hash_of(scenes: list[Scene]) -> str:

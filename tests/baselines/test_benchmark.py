@@ -196,7 +196,8 @@ def test_tasks_are_plain_and_name_the_code(benchmark: Benchmark) -> None:
 
 
 def test_slow_planners_are_judged_on_the_first_scenes_only(benchmark: Benchmark) -> None:
-    few = benchmark.model_copy(update={"slow_scenes": 2})
+    split = benchmark.splits["validation"].model_copy(update={"slow": 2})
+    few = benchmark.model_copy(update={"splits": {"validation": split}})
     tasks = tasks_of(few, methods_of(few, None), ["validation"])
     numbers = {
         name: [t["number"] for t in tasks if t["method"]["name"] == name] for name in ("ctc", "elastica")
