@@ -51,6 +51,7 @@ def demos_command(
         from rich.console import Console
 
         from baselines import demos
+        from baselines.tasks import code_version
         from planners import PLANNERS
 
         if planner not in PLANNERS:
@@ -59,7 +60,7 @@ def demos_command(
         demos.check_free(name)
         kept = journal or RUNS / f"demos-{planner}.jsonl"
         tasks = [
-            {"planner": planner, "resolution": resolution, "seed": first + k, "code": _code()}
+            {"planner": planner, "resolution": resolution, "seed": first + k, "code": code_version()}
             for k in range(count)
         ]
         announce_compilation()
@@ -261,32 +262,20 @@ def _run(
     title: str,
     console: Any,
 ) -> list[dict[str, Any]]:
-    """Rows of `run_tasks`, with a bar."""
+    """Rows of all tasks, with a bar."""
     from contextlib import nullcontext
 
-    from baselines.journal import Journal, key_of, run_tasks
-    from baselines.reproduce import Told, connected
+    from baselines.reproduce import connected, run_told
     from planners.generate_and_test import cores
 
     if jobs is not None and cluster is not None:
         raise BadInput("--jobs and --cluster: allowed one of them, the cluster has its own workers")
-    keys = {key_of(task) for task in tasks}
-    before = len(keys & set(Journal(journal).rows))
-    with (
-        nullcontext() if cluster is None else connected(cluster),
-        Told(title, len(keys), before, console) as told,
-    ):
-        return run_tasks(tasks, work, journal, jobs or cores(), cluster is not None, told.another)
+    with nullcontext() if cluster is None else connected(cluster):
+        return run_told(tasks, work, journal, jobs or cores(), cluster is not None, title, console)
 
 
 def _command() -> str:
     return " ".join(["retract", *sys.argv[1:]])
-
-
-def _code() -> str:
-    from baselines.tasks import code_version
-
-    return code_version()
 
 
 @contextmanager

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from difflib import get_close_matches
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from baselines.journal import Journal, key_of, run_tasks
+from baselines.journal import Journal, Work, key_of, run_tasks
 from baselines.studies import STUDIES
 from baselines.studies.report import write
 from baselines.tasks import Row, Task, evaluate
@@ -73,10 +74,23 @@ def done(
 ) -> list[Row]:
     """Rows of all tasks, label and result, in their order, with the progress told on the console."""
     works = [task.work(resolution) for task in tasks]
-    keys = {key_of(work) for work in works}
-    with Told(title, len(keys), len(keys & set(Journal(journal).rows)), console) as told:
-        rows = run_tasks(works, evaluate, journal, workers, cluster, told.another)
+    rows = run_told(works, evaluate, journal, workers, cluster, title, console)
     return [{**task.label, **row} for task, row in zip(tasks, rows, strict=True)]
+
+
+def run_told(
+    tasks: Sequence[Mapping[str, Any]],
+    work: Work,
+    journal: Path | None,
+    workers: int,
+    cluster: bool,
+    title: str,
+    console: Console,
+) -> list[Row]:
+    """`run_tasks`, with the progress told on the console."""
+    keys = {key_of(task) for task in tasks}
+    with Told(title, len(keys), len(keys & set(Journal(journal).rows)), console) as told:
+        return run_tasks(tasks, work, journal, workers, cluster, told.another)
 
 
 @contextmanager
