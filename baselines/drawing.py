@@ -32,7 +32,7 @@ from retract_env.palette import (
     WEDGE,
     WHITE,
 )
-from retract_env.shapes import JawShapes, SectionTopology, broken
+from retract_env.shapes import JawShapes, SectionTopology
 
 if TYPE_CHECKING:
     from planners.certify import Certificate
@@ -99,7 +99,7 @@ class FlapArtist:
         self._triangulation.x, self._triangulation.y = points[self._topology.nodes].T
         self.mesh.set_array(self._topology.smooth(np.asarray(state.strain)))
         # one line with gaps draws far faster than many short ones
-        self.veins.set_data(*broken(points[self._topology.vein_edges]).T)
+        self.veins.set_data(*self._topology.vein_lines(points).T)
         self.outline.set_data(*points[self._topology.outline].T)
 
 

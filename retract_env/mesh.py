@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -10,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from retract_env.scene import Scene
+from retract_env.scene import Scene, Vein
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -40,11 +41,13 @@ class Resolution:
     drawn"""
     true_veins: float = 0.0
     """how far from the jaws veins are as drawn, over the flap's height"""
+    smeared: bool = False
+    """whether elements follow only the veins between the jaws, and the others are averages in them"""
 
 
 RESOLUTIONS = {
     "coarse": Resolution(
-        "coarse", patch=2, edge=0.2, growth=0.7, bulk=1.0, bed=0.3, layers=0.4, vein_corners=4
+        "coarse", patch=2, edge=0.2, growth=0.7, bulk=1.0, bed=0.3, layers=0.4, vein_corners=4, smeared=True
     ),
     "medium": Resolution(
         "medium",
@@ -82,6 +85,8 @@ class SectionMesh:
     """nodes of the lower surface"""
     bottom_length: Array
     """m, length of the lower surface that belongs to each of its nodes (Simpson's rule)"""
+    smeared: tuple[Vein, ...] = ()
+    """veins that no triangle follows: the stiffness of the triangles that they lie in changes instead"""
 
     @cached_property
     def corners(self) -> Array:
@@ -122,10 +127,13 @@ def patch_ends(scene: Scene, jaw_x: float) -> tuple[float, float]:
     return (-length if low < -length + SLIVER * width else low), high
 
 
-def section_mesh(scene: Scene, jaw_x: float | None, resolution: Resolution) -> SectionMesh:
+def section_mesh(
+    scene: Scene, jaw_x: float | None, resolution: Resolution, smeared: Collection[int] = ()
+) -> SectionMesh:
     """Mesh the section so that veins and, where a grasp is given, both jaw patches end on element edges.
 
-    jaw_x: m, middle of the patches, or None for no jaws. Raises MeshError, and ValueError as `patch_ends`.
+    jaw_x: m, middle of the patches, or None for no jaws; smeared: indices of veins that need not be followed.
+    Raises MeshError, and ValueError as `patch_ends`.
     """
     from netgen.geom2d import SplineGeometry
 
@@ -145,6 +153,8 @@ def section_mesh(scene: Scene, jaw_x: float | None, resolution: Resolution) -> S
     sides = {(0, -length): {}, (0, 0.0): {}, (1, 0.0): {}, (1, height): {}}  # type: dict[tuple[int, float], dict[tuple[float, float], int]]
     inner: list[tuple[tuple[float, float], tuple[float, float], int]] = []
     for i, vein in enumerate(tissue.veins):
+        if i in smeared:
+            continue
         for p, q in zip(vein.outline, vein.outline[1:] + vein.outline[:1], strict=True):
             side = next((s for s in sides if p[s[0]] == q[s[0]] == s[1]), None)
             if side is None:
@@ -205,11 +215,17 @@ def section_mesh(scene: Scene, jaw_x: float | None, resolution: Resolution) -> S
         elements = mesh.Elements2D().NumPy()
     corners = elements["nodes"][:, :3].astype(np.int64) - 1
     vein_of = elements["index"].astype(np.int32) - 2
-    return _finish(nodes, corners, vein_of, scene, ends)
+    averaged = tuple(vein for i, vein in enumerate(tissue.veins) if i in smeared)
+    return _finish(nodes, corners, vein_of, scene, ends, averaged)
 
 
 def _finish(
-    points: Array, corners: NDArray[np.int64], vein: Ints, scene: Scene, ends: tuple[float, float] | None
+    points: Array,
+    corners: NDArray[np.int64],
+    vein: Ints,
+    scene: Scene,
+    ends: tuple[float, float] | None,
+    smeared: tuple[Vein, ...],
 ) -> SectionMesh:
     """Mid-edge nodes, order along x, and the named node sets."""
     tissue = scene.tissue
@@ -247,4 +263,5 @@ def _finish(
         patches=(nodes(low & under), nodes(high & under)),
         bottom=bottom,
         bottom_length=share[bottom],
+        smeared=smeared,
     )

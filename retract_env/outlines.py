@@ -7,6 +7,8 @@ errs anyway (tests/retract_env/test_outlines.py).
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 import shapely
 from numpy.typing import ArrayLike, NDArray
@@ -47,25 +49,21 @@ def _centroid(points: ArrayLike) -> Array:
     return shapely.get_coordinates(shapely.centroid(shapely.polygons(np.asarray(points).tolist())))[0]
 
 
-def _reaches(outline: Outline, low: float, high: float) -> bool:
-    """Whether the outline has part of the flap's length in common with [low, high], m."""
-    x = [corner[0] for corner in outline]
-    return min(x) <= high and max(x) >= low
+def reaching(scene: Scene, low: float, high: float) -> set[int]:
+    """Indices of the veins that have part of the flap's length in common with [low, high], m."""
+    spans = [[corner[0] for corner in vein.outline] for vein in scene.tissue.veins]
+    return {i for i, x in enumerate(spans) if min(x) <= high and max(x) >= low}
 
 
-def fewer_corners(scene: Scene, corners: int, true: tuple[float, float] | None = None) -> Scene:
+def fewer_corners(scene: Scene, corners: int, kept: Collection[int] = ()) -> Scene:
     """The scene with veins of that many corners at most, one by one, where the mesher still has room.
 
-    true: m, part of the flap where veins stay as they are.
-    A vein also keeps its outline where it lies on the flap's own outline, or where the simpler one would come
-    nearer than `MIN_GAP` to another vein or to the flap's outline, or cross itself.
+    kept: indices of veins that stay as they are. A vein also keeps its outline where it lies on the flap's
+    own outline, or where the simpler one would come nearer than `MIN_GAP` to another vein or to the flap's
+    outline, or cross itself.
     """
     veins = list(scene.tissue.veins)
-    simplified = [
-        i
-        for i, vein in enumerate(veins)
-        if len(vein.outline) > corners and not (true and _reaches(vein.outline, *true))
-    ]
+    simplified = [i for i, vein in enumerate(veins) if len(vein.outline) > corners and i not in kept]
     if not simplified:
         return scene
     inside = shapely.box(-scene.tissue.length + MIN_GAP, MIN_GAP, -MIN_GAP, scene.tissue.height - MIN_GAP)

@@ -19,7 +19,7 @@ from retract_env.objectives import seen_spans
 from retract_env.palette import HIDDEN, INK, STEEL, STRAIN, VEIN_EDGE, WHITE, Bytes, rgb
 from retract_env.raster import shrunk
 from retract_env.scenery import Scenery, draw_words, view_of
-from retract_env.shapes import JawShapes, SectionTopology, broken, hidden_region
+from retract_env.shapes import JawShapes, SectionTopology, hidden_region
 from retract_env.window import Window
 
 if TYPE_CHECKING:
@@ -111,7 +111,7 @@ class SectionRenderer:
         pixels = view(points)
         share = topology.smooth(state.strain) / self.scene.limits.strain
         canvas.triangles(pixels[topology.nodes], topology.faces, share, STRAIN)
-        canvas.stroke(broken(pixels[topology.vein_edges]), rgb(VEIN_EDGE), 1.1 * unit)
+        canvas.stroke(topology.vein_lines(pixels), rgb(VEIN_EDGE), 1.1 * unit)
         canvas.stroke(pixels[topology.outline], rgb(INK), 1.5 * unit)
         for shapes, colour in zip(jaws.at(state.jaws), (STEEL, INK), strict=True):
             placed = view(shapes)

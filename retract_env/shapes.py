@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,8 +30,7 @@ class SectionTopology:
 
     nodes: (v,) node of each drawn vertex. faces: (4 m, 3) vertices; straight: (m, 3), with straight edges,
     which are drawn faster and differ by less than a pixel. outline: (k,) boundary nodes from the foot of the
-    fixed end along the lower surface and round, the first again at the end. vein_edges: (e, 3) nodes along
-    the outlines of the veins.
+    fixed end along the lower surface and round, the first again at the end.
     """
 
     def __init__(self, section: SectionMesh) -> None:
@@ -47,12 +48,44 @@ class SectionTopology:
         inside = np.repeat(vein, 3)
         keys = np.column_stack((inside, edges[:, 1]))[inside >= 0]
         _, first, times = np.unique(keys, axis=0, return_index=True, return_counts=True)
-        self.vein_edges: Ints = edges[inside >= 0][np.sort(first[times == 1])].astype(np.intp)
+        self._vein_edges: Ints = edges[inside >= 0][np.sort(first[times == 1])].astype(np.intp)
+        self._smeared = [_embedded(section, _ring(vein.outline, section)) for vein in section.smeared]
         self.outline: Ints = _loop(np.asarray(section.points), np.asarray(section.boundary))
+
+    def vein_lines(self, points: Array) -> Array:
+        """(k, 2) the veins' outlines, a gap after each piece, for nodes at points (n, 2), m or pixels."""
+        rings = [(points[nodes] * shares[..., None]).sum(axis=1) for nodes, shares in self._smeared]
+        return np.concatenate([broken(points[self._vein_edges]), *(broken(ring[None]) for ring in rings)])
 
     def smooth(self, strain: Array) -> Array:
         """(v,) strain at the vertices: mean of the (m,) triangles around each, on its side of a vein."""
         return np.bincount(self._vertex.ravel(), np.repeat(strain, 6)) / self._shares
+
+
+def _ring(outline: Sequence[tuple[float, float]], section: SectionMesh) -> Array:
+    """(k, 2) m, a closed outline in pieces so short that they may bend with the tissue."""
+    corners = np.array([*outline, outline[0]])
+    longest = np.ptp(section.points[:, 1]) / 8
+    pieces = []
+    for p, q in pairwise(corners):
+        count = max(math.ceil(math.dist(p, q) / longest), 1)
+        pieces.append(p + np.arange(count)[:, None] / count * (q - p))
+    return np.concatenate([*pieces, corners[:1]])
+
+
+def _embedded(section: SectionMesh, places: Array) -> tuple[Ints, Array]:
+    """Nodes (k, 6) and their shares (k, 6) that move the places (k, 2) m along with their triangles."""
+    corners = section.corners
+    d1, d2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    off = places[:, None] - corners[:, 0]
+    area = d1[:, 0] * d2[:, 1] - d1[:, 1] * d2[:, 0]
+    b = (off[..., 0] * d2[:, 1] - off[..., 1] * d2[:, 0]) / area
+    c = (d1[:, 0] * off[..., 1] - d1[:, 1] * off[..., 0]) / area
+    low = np.stack([1 - b - c, b, c], axis=-1)
+    triangle = low.min(axis=-1).argmax(axis=1)  # the one that it lies in, or misses by rounding
+    low = low[np.arange(len(places)), triangle]
+    shares = np.concatenate([low * (2 * low - 1), 4 * low * np.roll(low, -1, axis=1)], axis=1)
+    return np.asarray(section.triangles, np.intp)[triangle], shares
 
 
 def _loop(points: Array, boundary: NDArray[np.integer]) -> Ints:

@@ -64,6 +64,7 @@ class ElementBlock:
     gxy: Array
     gz: Array
     weight: Array
+    """volumes of the points, times their stiffness where it varies in an element"""
     mu: Array
     lam: Array
     dofs: Ints
@@ -88,16 +89,20 @@ class ElementBlock:
         dofs: Ints,
         mix: Array | None = None,
         share: Array | None = None,
+        relative: Array | None = None,
     ) -> ElementBlock:
         """From arrays element by element: gxy (m, nq, 3, na), gz (m, nq, 3, nz), weight (m, nq), mu and lam
         (m,), dofs (m, 2 na + nz); mix and share (nr, nq): of gradients and volumes at the points, where
-        strain is measured, at the points themselves unless told."""
+        strain is measured, at the points themselves unless told; relative (m, nq): how many times as stiff
+        as mu and lam say the material is at a point."""
 
         def lanes(a: NDArray[Any]) -> NDArray[Any]:
             filled = np.concatenate([a, np.zeros((-len(a) % LANES, *a.shape[1:]), a.dtype)])
             return np.ascontiguousarray(np.moveaxis(filled.reshape(-1, LANES, *a.shape[1:]), 1, -1))
 
-        gxy_, gz_, weight_, mu_ = lanes(gxy), lanes(gz), lanes(weight), lanes(mu)
+        # energy is linear in mu and lam together, so a stiffer point is one of more weight
+        stiff = weight if relative is None else weight * relative
+        gxy_, gz_, weight_, mu_ = lanes(gxy), lanes(gz), lanes(stiff), lanes(mu)
         chunks, na, nz = len(gxy_), gxy.shape[3], gz.shape[3]
         gram_xy, gram_z = np.empty((chunks, na, na, LANES)), np.empty((chunks, nz, nz, LANES))
         gram(gxy_, weight_, mu_, gram_xy)
@@ -174,10 +179,12 @@ def extruded_block(
     modulus: Array,
     poisson: Array,
     triangle_points: int = 3,
+    relative: Array | None = None,
 ) -> ElementBlock:
     """Elements of one layer over all section triangles.
 
-    corners: (m, 3, 2) m; dofs: (m, 2 na + nz); modulus [Pa] and poisson: (m,).
+    corners: (m, 3, 2) m; dofs: (m, 2 na + nz); modulus [Pa] and poisson: (m,); relative: (m,
+    triangle_points), stiffness at a triangle's points over its modulus, 1 unless told.
     """
     points, tri_weights = TRIANGLE_RULES[triangle_points]
     value, grad, double_area = triangle6(points, corners)
@@ -198,4 +205,6 @@ def extruded_block(
     linear = equal_parts(PARTS) @ np.linalg.pinv(points)
     even = np.full(linear.shape, 1 / len(linear))
     mix, share = (np.kron(in_section, np.eye(len(depth_weights))) for in_section in (linear, even))
-    return ElementBlock.of(gradients(xy, dxy), gradients(z, dz), weight, mu, lam, dofs, mix, share)
+    if relative is not None:
+        relative = np.repeat(relative, len(depth_weights), axis=1)
+    return ElementBlock.of(gradients(xy, dxy), gradients(z, dz), weight, mu, lam, dofs, mix, share, relative)

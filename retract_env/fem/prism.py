@@ -10,7 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from retract_env.fem.elements import ElementBlock, extruded_block, quadratic_depth, symmetric_depth
+from retract_env.fem.elements import (
+    TRIANGLE_RULES,
+    ElementBlock,
+    extruded_block,
+    quadratic_depth,
+    symmetric_depth,
+)
+from retract_env.fem.smear import relative_stiffness
 from retract_env.mesh import SectionMesh
 from retract_env.scene import Scene
 
@@ -59,6 +66,10 @@ class Prism:
         modulus = np.array([tissue.modulus, *(v.modulus for v in tissue.veins)])
         poisson = np.array([tissue.poisson, *(v.poisson for v in tissue.veins)])
         material = section.vein + 1
+        relative = None
+        if section.smeared:
+            points, _ = TRIANGLE_RULES[triangle_points]
+            relative = relative_stiffness(section.corners, points, modulus[material], section.smeared)
         self.depth_weight = np.zeros(self.levels)
         """(levels,) m, half depth that belongs to each level of nodes"""
         blocks: list[ElementBlock] = []
@@ -73,7 +84,13 @@ class Prism:
             )
             blocks.append(
                 extruded_block(
-                    section.corners, depth, dofs, modulus[material], poisson[material], triangle_points
+                    section.corners,
+                    depth,
+                    dofs,
+                    modulus[material],
+                    poisson[material],
+                    triangle_points,
+                    relative,
                 )
             )
             self.depth_weight[xy] += depth[4] @ depth[0]

@@ -15,8 +15,8 @@ from retract_env.fem.beam import BeamGuess
 from retract_env.fem.model import FlapModel
 from retract_env.fem.solver import Diverged, Equilibrium
 from retract_env.grasp import to_jaws, to_pose
-from retract_env.mesh import RESOLUTIONS, Resolution, section_mesh
-from retract_env.outlines import fewer_corners
+from retract_env.mesh import RESOLUTIONS, Resolution, patch_ends, section_mesh
+from retract_env.outlines import fewer_corners, reaching
 from retract_env.physics.base import TissueState
 from retract_env.physics.measures import Measures
 from retract_env.scene import Scene
@@ -54,13 +54,13 @@ class FemPhysics:
         self.scene, self.resolution, self.jaw_x = scene, resolution, jaw_x
         self.seconds: defaultdict[str, float] = defaultdict(float)
         start = time.perf_counter()
-        near = resolution.true_veins * scene.tissue.height
-        drawn = (
-            scene
-            if resolution.vein_corners is None
-            else fewer_corners(scene, resolution.vein_corners, (jaw_x - near, jaw_x + near))
-        )
-        self.section = section_mesh(drawn, jaw_x, resolution)
+        every, near = set(range(len(scene.tissue.veins))), resolution.true_veins * scene.tissue.height
+        smeared = every - reaching(scene, *patch_ends(scene, jaw_x)) if resolution.smeared else set()
+        as_drawn = smeared | reaching(scene, jaw_x - near, jaw_x + near)
+        drawn = scene
+        if resolution.vein_corners is not None:
+            drawn = fewer_corners(scene, resolution.vein_corners, as_drawn)
+        self.section = section_mesh(drawn, jaw_x, resolution, smeared)
         self.seconds["mesh"] = time.perf_counter() - start
         start = time.perf_counter()
         self.model = FlapModel(scene, self.section, jaw_x, resolution)

@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @dataclass(frozen=True)
 class Retraction:
-    """A flap on its way up, by the finite elements at `coarse`."""
+    """A flap on its way up, by the finite elements."""
 
     scene: Scene
     physics: FemPhysics
@@ -29,12 +29,15 @@ class Retraction:
 
 
 @cache
-def lifted() -> Retraction:
-    """Ten veins, at rest, squeezed and eight steps later; at the end part of the target area is in view."""
+def lifted(resolution: str = "coarse") -> Retraction:
+    """Ten veins, at rest, squeezed and eight steps later; at the end part of the target area is in view.
+
+    At `coarse` no triangle follows a vein.
+    """
     scene = load_scene(ROOT / "configs" / "scenes" / "ten_veins.yaml")
     grasp = Grasp(x=-0.03485, compression=0.97e-3)
     poses = ctc(scene, grasp).poses
-    physics = FemPhysics(scene, grasp.x, "coarse")
+    physics = FemPhysics(scene, grasp.x, resolution)
     states = [physics.reset()]
     for i in (1, *range(4, 29, 3)):
         states.append(physics.move_to(poses[i], float(i)))

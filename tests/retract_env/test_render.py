@@ -120,7 +120,8 @@ def test_strain_has_the_colours_of_the_pictures() -> None:
 
 
 @pytest.mark.parametrize("strain", [0.0, 0.1, 0.31, 0.5, 0.9])
-def test_tissue_has_the_colour_of_its_strain(lift: Retraction, strain: float) -> None:
+def test_tissue_has_the_colour_of_its_strain(strain: float) -> None:
+    lift = lifted("medium")
     renderer, state = lift.renderer(), strained(lift.states[-1], strain)
     frame = renderer.draw(state)
     triangles = state.points[lift.physics.section.triangles]
@@ -145,7 +146,8 @@ def test_parts_are_where_the_state_has_them(lift: Retraction) -> None:
     outline = state.points[topology.outline]
     dark = [nearby(renderer, frame, p, INK) for p in outline if p[1] > 1e-3]
     assert np.mean(np.array(dark) < 40) > 0.9  # jaws and the line of sight lie over some
-    veins = state.points[topology.vein_edges[:, 1]]
+    veins = topology.vein_lines(state.points)
+    veins = veins[np.isfinite(veins).all(axis=1)]
     assert np.mean([nearby(renderer, frame, p, VEIN_EDGE) < 70 for p in veins]) > 0.9
     lower, upper = state.jaws.reshape(2, 2)
     axis = (upper - lower) / np.hypot(*(upper - lower))

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from retract_env.scene import Scene
 from retract_env.shapes import JawShapes, SectionTopology, hidden_region
 from tests.retract_env.lifted import lifted
+
+Array = NDArray[np.float64]
 
 
 def test_the_hidden_region_of_a_wall_is_its_shadow() -> None:
@@ -38,10 +41,29 @@ def test_the_outline_runs_from_the_foot_of_the_fixed_end_along_the_lower_surface
 
 
 def test_strain_jumps_at_veins_and_is_not_smeared_over_them() -> None:
-    section = lifted().physics.section
+    section = lifted("medium").physics.section
     smooth = SectionTopology(section).smooth(np.where(section.vein >= 0, 0.1, 0.4))
     assert np.all(np.isclose(smooth, 0.1) | np.isclose(smooth, 0.4))
     assert np.ptp(smooth) > 0.2
+
+
+def test_veins_that_no_triangle_follows_are_drawn_as_their_outlines() -> None:
+    lift = lifted()
+    points, veins = lift.physics.section.points, lift.scene.tissue.veins
+    assert len(lift.physics.section.smeared) == len(veins)
+    topology = SectionTopology(lift.physics.section)
+    rings = [np.array([*vein.outline, vein.outline[0]]) for vein in veins]
+
+    def pieces(nodes: Array) -> Array:
+        return np.linalg.norm(np.diff(topology.vein_lines(nodes), axis=0), axis=1)
+
+    around = sum(np.linalg.norm(np.diff(ring, axis=0), axis=1).sum() for ring in rings)
+    assert np.nansum(pieces(points)) == pytest.approx(around, rel=1e-12)
+    # a quadratic motion is one that quadratic triangles follow exactly
+    bend = np.column_stack([points[:, 0] - 8 * points[:, 0] * points[:, 1], 9 * points[:, 0] ** 2])
+    lines, rest = topology.vein_lines(points + bend), topology.vein_lines(points)
+    moved = np.column_stack([rest[:, 0] - 8 * rest[:, 0] * rest[:, 1], 9 * rest[:, 0] ** 2])
+    assert np.allclose(lines, rest + moved, atol=1e-12, equal_nan=True)
 
 
 @pytest.mark.parametrize("bold", [1.0, 2.0])
