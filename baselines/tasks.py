@@ -51,7 +51,6 @@ class Task:
 
 
 @cache
-@cache
 def code_version() -> str:
     """The version, and a digest of the sources that results come from."""
     digest = hashlib.sha256()
