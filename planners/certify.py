@@ -19,7 +19,7 @@ import numpy as np
 from retract_env import __version__
 from retract_env.fem.solver import Diverged
 from retract_env.grasp import Grasp, JawPath
-from retract_env.mesh import RESOLUTIONS, SectionMesh, patch_ends
+from retract_env.mesh import RESOLUTIONS, Resolution, SectionMesh, patch_ends
 from retract_env.objectives import verdict
 from retract_env.physics.base import TissueState
 from retract_env.physics.fem import FemPhysics
@@ -150,7 +150,10 @@ class Trial:
 
         The strain of the squeeze bounds that of the whole retraction from below. Raises MeshError.
         """
-        self.physics = FemPhysics(self.scene, self.grasp.x, self.resolution)
+        self._squeeze(RESOLUTIONS[self.resolution])
+
+    def _squeeze(self, resolution: Resolution) -> None:
+        self.physics = FemPhysics(self.scene, self.grasp.x, resolution)
         self.frames = [self.physics.state()]
         self.reason, self.max_strain, self.required_friction = None, 0.0, 0.0
         try:

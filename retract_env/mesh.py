@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Collection
 from dataclasses import dataclass
@@ -41,13 +42,13 @@ class Resolution:
     drawn"""
     true_veins: float = 0.0
     """how far from the jaws veins are as drawn, over the flap's height"""
-    smeared: bool = False
-    """whether elements follow only the veins between the jaws, and the others are averages in them"""
+    followed: float = math.inf
+    """how far from the jaws elements follow veins, over the flap's height; others are averages in them"""
 
 
 RESOLUTIONS = {
     "coarse": Resolution(
-        "coarse", patch=2, edge=0.2, growth=0.7, bulk=1.0, bed=0.3, layers=0.4, vein_corners=4, smeared=True
+        "coarse", patch=2, edge=0.2, growth=0.7, bulk=1.0, bed=0.3, layers=0.4, vein_corners=4, followed=0.0
     ),
     "medium": Resolution(
         "medium",

@@ -54,8 +54,9 @@ class FemPhysics:
         self.scene, self.resolution, self.jaw_x = scene, resolution, jaw_x
         self.seconds: defaultdict[str, float] = defaultdict(float)
         start = time.perf_counter()
-        every, near = set(range(len(scene.tissue.veins))), resolution.true_veins * scene.tissue.height
-        smeared = every - reaching(scene, *patch_ends(scene, jaw_x)) if resolution.smeared else set()
+        height, (low, high) = scene.tissue.height, patch_ends(scene, jaw_x)
+        near, far = resolution.true_veins * height, resolution.followed * height
+        smeared = set(range(len(scene.tissue.veins))) - reaching(scene, low - far, high + far)
         as_drawn = smeared | reaching(scene, jaw_x - near, jaw_x + near)
         drawn = scene
         if resolution.vein_corners is not None:
