@@ -40,8 +40,8 @@ class Resolution:
     vein_corners: int | None = None
     """corners at most of a vein away from the jaws, whose edges decide how many elements there are; None: as
     drawn"""
-    true_veins: float = 0.0
-    """how far from the jaws veins are as drawn, over the flap's height"""
+    true_veins: float = -math.inf
+    """how far from the jaws veins are as drawn, over the flap's height; -inf: not even between them"""
     followed: float = math.inf
     """how far from the jaws elements follow veins, over the flap's height; others are averages in them"""
 
