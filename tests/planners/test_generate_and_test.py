@@ -8,7 +8,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from functools import cache
 from typing import Any
 from weakref import WeakSet
@@ -60,10 +60,10 @@ def test_a_candidate_that_cannot_be_meshed_is_left_out(pruning: str, monkeypatch
     unlucky = next(c.grasp.x for c in whole.candidates if c.grasp != whole.grasp)
     mesh = section_mesh
 
-    def failing(scene: Scene, jaw_x: float | None, resolution: Resolution) -> SectionMesh:
+    def failing(scene: Scene, jaw_x: float, resolution: Resolution, smeared: Collection[int]) -> SectionMesh:
         if jaw_x == unlucky:
             raise MeshError("no mesh")
-        return mesh(scene, jaw_x, resolution)
+        return mesh(scene, jaw_x, resolution, smeared)
 
     monkeypatch.setattr(fem, "section_mesh", failing)
     plan = generate_and_test(scene, proposals(scene), "test", "coarse", pruning=pruning)
