@@ -101,10 +101,8 @@ class Elastica(Trial):
             self.optimise()
             if self.ended:
                 return
-        spent = time.perf_counter() - start
+        self.optimising = time.perf_counter() - start
         super().squeeze()
-        assert self.physics is not None
-        self.physics.seconds["optimisation"] += spent
 
     def move(
         self, bound: Callable[[], float] = lambda: math.inf, on_increment: Callable[[], None] = lambda: None

@@ -136,6 +136,8 @@ class Trial:
         self.max_strain = 0.0
         self.required_friction = 0.0
         self.physics: FemPhysics | None = None
+        self.optimising = 0.0
+        """s spent on the path before the squeeze, with whose seconds they are counted"""
 
     @property
     def ended(self) -> bool:
@@ -154,6 +156,9 @@ class Trial:
 
     def _squeeze(self, resolution: Resolution) -> None:
         self.physics = FemPhysics(self.scene, self.grasp.x, resolution)
+        if self.optimising:
+            self.physics.seconds["optimisation"] += self.optimising
+            self.optimising = 0.0
         self.frames = [self.physics.state()]
         self.reason, self.max_strain, self.required_friction = None, 0.0, 0.0
         try:

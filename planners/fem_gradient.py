@@ -303,10 +303,8 @@ class Polished(Trial):
                 self.reason = "diverged"
                 return
             self._improve(self._program)
-        spent = time.perf_counter() - start
+        self.optimising = time.perf_counter() - start
         super().squeeze()
-        assert self.physics is not None
-        self.physics.seconds["optimisation"] += spent
 
     def move(
         self, bound: Callable[[], float] = lambda: math.inf, on_increment: Callable[[], None] = lambda: None
