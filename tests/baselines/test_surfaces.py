@@ -27,7 +27,7 @@ def squeezed() -> Trial:
     tissue = Tissue.from_data(scene.tissue.model_dump() | {"depth": DEPTH})
     deep = Scene.from_data(scene.model_dump() | {"tissue": tissue})
     grasp = a_grasp(part=0.02)
-    trial = Trial(deep, grasp, ctc(deep, grasp), "coarse")
+    trial = Trial(deep, grasp, ctc(deep, grasp), "medium")  # coarse meshes follow no vein here
     trial.squeeze()
     return trial
 
