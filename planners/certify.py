@@ -19,7 +19,7 @@ import numpy as np
 from retract_env import __version__
 from retract_env.fem.solver import Diverged
 from retract_env.grasp import Grasp, JawPath
-from retract_env.mesh import RESOLUTIONS, Resolution, SectionMesh, patch_ends
+from retract_env.mesh import RESOLUTIONS, SectionMesh, patch_ends
 from retract_env.objectives import verdict
 from retract_env.physics.base import TissueState
 from retract_env.physics.fem import FemPhysics
@@ -152,10 +152,7 @@ class Trial:
 
         The strain of the squeeze bounds that of the whole retraction from below. Raises MeshError.
         """
-        self._squeeze(RESOLUTIONS[self.resolution])
-
-    def _squeeze(self, resolution: Resolution) -> None:
-        self.physics = FemPhysics(self.scene, self.grasp.x, resolution)
+        self.physics = FemPhysics(self.scene, self.grasp.x, self.resolution)
         if self.optimising:
             self.physics.seconds["optimisation"] += self.optimising
             self.optimising = 0.0

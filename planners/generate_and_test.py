@@ -5,9 +5,8 @@ Three ways to go through the candidates give the same winner at different cost:
 * "none": every retraction to its end;
 * "bound" (the paper's): in order of the stability score; a retraction stops once its strain exceeds that of
   the best certified one;
-* "squeeze" (ours): squeeze all candidates first, which costs little and bounds their strain from below, least
-  of all on a mesh that is fine at the jaws alone (planners/scouted.py); then retract best-first under the
-  same bound: what squeezes worse than the best retraction is never moved at all.
+* "squeeze" (ours): squeeze all candidates first, which costs little and bounds their strain from below, then
+  retract best-first under the same bound; what squeezes worse than the best retraction is never moved at all.
 """
 
 from __future__ import annotations
@@ -22,7 +21,6 @@ from concurrent.futures import ThreadPoolExecutor
 
 from planners.base import Candidate, NoPlan, Plan
 from planners.certify import Trial
-from planners.scouted import Scouted
 from retract_env.grasp import Grasp, JawPath
 from retract_env.mesh import MeshError
 from retract_env.scene import Scene
@@ -39,14 +37,14 @@ def generate_and_test(
     workers: int | None = None,
     on_update: OnUpdate | None = None,
     pruning: str = "squeeze",
-    trial: Callable[[Scene, Grasp, JawPath, str], Trial] | None = None,
+    trial: Callable[[Scene, Grasp, JawPath, str], Trial] = Trial,
 ) -> Plan:
     """Certify proposals, best score first, and return the certified one with least maximum strain.
 
     The winner does not depend on pruning or workers (default: one a core): only what exceeds the best
     certified strain is dropped, and equal strains go to the earlier candidate. trial: makes the trial of a
-    proposal, a plain or a scouted one unless told; one that changes the grasp while it tries it has the last
-    word on it. Raises NoPlan where none is certified, ValueError for unknown pruning or workers below 1.
+    proposal; one that changes the grasp while it tries it has the last word on it. Raises NoPlan where none
+    is certified, ValueError for unknown pruning or workers below 1.
     """
     if pruning not in PRUNING:
         raise ValueError(f"pruning = {pruning!r}, allowed {', '.join(PRUNING)}")
@@ -54,7 +52,6 @@ def generate_and_test(
     if workers < 1:
         raise ValueError(f"workers = {workers}, allowed at least 1")
     start = time.perf_counter()
-    trial = trial or (Scouted if pruning == "squeeze" else Trial)
     trials = [trial(scene, grasp, path, resolution) for grasp, path in proposals]
     search = _Search(trials, pruning, workers, on_update)
     with ThreadPoolExecutor(max_workers=min(workers, max(1, len(proposals)))) as pool:
