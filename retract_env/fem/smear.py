@@ -2,7 +2,7 @@
 
 Veins of many corners decide how many elements there are, wherever they lie. Away from the jaws they only
 stiffen the flap, and an average does that: with half the nodes, retractions on random flaps are as near to
-`fine` as on a mesh that follows every vein (tests/retract_env/test_smear.py, docs/physics.md).
+`fine` as on a mesh that follows every vein (benchmarks/coarse.py, docs/how-it-works.md).
 """
 
 from __future__ import annotations
