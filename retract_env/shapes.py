@@ -49,13 +49,18 @@ class SectionTopology:
         keys = np.column_stack((inside, edges[:, 1]))[inside >= 0]
         _, first, times = np.unique(keys, axis=0, return_index=True, return_counts=True)
         self._vein_edges: Ints = edges[inside >= 0][np.sort(first[times == 1])].astype(np.intp)
-        self._smeared = [_embedded(section, _ring(vein.outline, section)) for vein in section.smeared]
+        rings = [_embedded(section, _ring(vein.outline, section)) for vein in section.smeared]
+        gap = np.zeros((1, 6), np.intp), np.full((1, 6), np.nan)
+        self._ring_nodes, self._ring_shares = (
+            np.concatenate([np.concatenate((ring[k], gap[k])) for ring in rings] or [gap[k][:0]])
+            for k in range(2)
+        )
         self.outline: Ints = _loop(np.asarray(section.points), np.asarray(section.boundary))
 
     def vein_lines(self, points: Array) -> Array:
         """(k, 2) the veins' outlines, a gap after each piece, for nodes at points (n, 2), m or pixels."""
-        rings = [(points[nodes] * shares[..., None]).sum(axis=1) for nodes, shares in self._smeared]
-        return np.concatenate([broken(points[self._vein_edges]), *(broken(ring[None]) for ring in rings)])
+        rings = (points[self._ring_nodes] * self._ring_shares[..., None]).sum(axis=1)
+        return np.concatenate([broken(points[self._vein_edges]), rings])
 
     def smooth(self, strain: Array) -> Array:
         """(v,) strain at the vertices: mean of the (m,) triangles around each, on its side of a vein."""
