@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 import torch
@@ -80,7 +80,7 @@ class Agent:
             deviation=np.sqrt(stats.var + floor**2).astype(np.float32),
             clip=self.recipe.observation.clip,
             activation=self.recipe.network.activation,
-            output=self._output,  # type: ignore[arg-type]
+            output=self._output,
             env={"id": IDS[self.recipe.task.physics], "kwargs": arguments(self.recipe.task)},
         )
 
@@ -171,7 +171,7 @@ class Agent:
         return [m for part in parts for m in part.modules() if isinstance(m, torch.nn.Linear)]
 
     @property
-    def _output(self) -> str:
+    def _output(self) -> Literal["clip", "tanh"]:
         return "tanh" if isinstance(self.model, OffPolicyAlgorithm) else "clip"
 
 

@@ -97,7 +97,7 @@ def write_dataset(name: str, rows: Sequence[Row], task: Task, command: str) -> i
     if not good:
         raise DemosError(f"{len(rows)} scenes, none demonstrated: {rows[0]['failure']}")
     env = gym.make(ENV, **KWARGS)
-    width, size = env.observation_space.shape[0], env.action_space.shape[0]  # type: ignore[index]
+    width, size = (gym.spaces.flatdim(space) for space in (env.observation_space, env.action_space))
     buffers = []
     for number, row in enumerate(good):
         episode = row["episode"]

@@ -108,7 +108,8 @@ def intervals(
     """Statistic of each (runs, scenes) array, and its 95 % interval over resampled runs and scenes."""
     from rliable.library import get_interval_estimates
 
-    state = np.random.get_state()  # noqa: NPY002, rliable draws from NumPy's global generator
+    # rliable draws from NumPy's global generator, even where it is given one
+    state = np.random.get_state()  # noqa: NPY002
     np.random.seed(seed)  # noqa: NPY002
     try:
         points, ends = get_interval_estimates(

@@ -13,6 +13,7 @@ import json
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -129,7 +130,7 @@ def _legs(
     while agent.steps < total:
         begin = time.perf_counter()
         steps = min(run.recipe.evaluation.every, total - agent.steps)
-        agent.learn(steps, lambda done, last=last: on_progress(Progress(done, total, last)))  # type: ignore[misc]
+        agent.learn(steps, partial(_told, on_progress, total, last))
         policy = agent.policy()
         last = _judged(run, agent, policy)
         earlier = curve[-1]["seconds"] if curve else 0.0
@@ -149,6 +150,10 @@ def _legs(
     kept = replace(kept, training={**kept.training, "curve": curve})  # what came after it too
     save_policy(kept, folder / POLICY)
     return kept
+
+
+def _told(on_progress: OnProgress, total: int, last: Mapping[str, Any] | None, done: int) -> None:
+    on_progress(Progress(done, total, last))
 
 
 def _agent(run: Run, folder: Path, envs: Any) -> Agent:

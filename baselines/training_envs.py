@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import gymnasium as gym
 import numpy as np
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv, VecNormalize
 
-import retract_env  # noqa: F401  (registers the environments)
 from baselines.journal import single_threaded
 from baselines.policies import Policy
 from baselines.recipe import Recipe, Task
+from retract_env.env import TissueRetractEnv
 from retract_env.rollout import rollout
 
 IDS = {"fem": "TissueRetractFEM-v0", "bullet": "TissueRetract-v0"}
@@ -36,7 +36,7 @@ def outcome(env: gym.Env[Any, Any], policy: Policy, scene: Mapping[str, Any] | N
     """What became of one episode: success, failure, total reward, greatest strain over its limit, steps."""
     played = rollout(env, policy, seed=0, options=None if scene is None else {"scene": scene})
     last = played.infos[-1]
-    limit = env.unwrapped.episode.task.scene.limits.strain  # type: ignore[attr-defined]
+    limit = cast(TissueRetractEnv, env.unwrapped).episode.task.scene.limits.strain
     return {
         "success": played.success,
         "failure": last["failure"] or ("" if played.success else "not_visible"),

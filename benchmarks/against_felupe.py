@@ -111,7 +111,7 @@ def with_retract(flap: HexFlap, jaws: Array, tolerance: float, seldom: bool) -> 
     """
     model = HexModel(flap)
     with patch("retract_env.fem.solver.STRAIN_TOLERANCE", TIGHT):
-        solver = Equilibrium(model)  # type: ignore[arg-type]
+        solver = Equilibrium(model)  # type: ignore[arg-type]  # it has what the solver asks of a FlapModel
 
     start = time.perf_counter()
     shapes, iterations, residual = [np.zeros(model.assembly.size)], 0, 0.0

@@ -102,6 +102,11 @@ class SectionMesh:
         return edges[np.isin(edges[:, 1], middle[count == 1])]
 
 
+def quadratic_shares(places: Array) -> Array:
+    """(k, 6) values of a triangle's quadratic shape functions, in its nodes' order, at (k, 3) barycentric."""
+    return np.concatenate([places * (2 * places - 1), 4 * places * np.roll(places, -1, axis=1)], axis=1)
+
+
 class MeshError(ValueError):
     """The section could not be meshed."""
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from retract_env.mesh import quadratic_shares
 from retract_env.objectives import bed_hits
 
 if TYPE_CHECKING:
@@ -88,8 +89,7 @@ def _embedded(section: SectionMesh, places: Array) -> tuple[Ints, Array]:
     c = (d1[:, 0] * off[..., 1] - d1[:, 1] * off[..., 0]) / area
     low = np.stack([1 - b - c, b, c], axis=-1)
     triangle = low.min(axis=-1).argmax(axis=1)  # the one that it lies in, or misses by rounding
-    low = low[np.arange(len(places)), triangle]
-    shares = np.concatenate([low * (2 * low - 1), 4 * low * np.roll(low, -1, axis=1)], axis=1)
+    shares = quadratic_shares(low[np.arange(len(places)), triangle])
     return np.asarray(section.triangles, np.intp)[triangle], shares
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import product
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -78,8 +79,8 @@ def draw_strains(axes: Axes, at: Sequence[float], curves: dict[str, list[float]]
         known = np.array(values)
         step = float(np.min(np.diff(at))) if len(at) > 1 else 1.0
         x = np.array(at) + shift * step
-        look = {"color": colour, "marker": marker, "markersize": 5.5, "linewidth": 1.4}
-        axes.plot(x, known, label=name, zorder=3, **look)  # type: ignore[arg-type]
+        look: dict[str, Any] = {"color": colour, "marker": marker, "markersize": 5.5, "linewidth": 1.4}
+        axes.plot(x, known, label=name, zorder=3, **look)
         failed = np.isnan(known)
         axes.plot(
             x[failed], np.full(failed.sum(), FAILED), linestyle="none", marker=marker, markersize=5.5,

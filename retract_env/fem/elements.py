@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from retract_env.fem.kernels import LANES, gram
+from retract_env.mesh import quadratic_shares
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -137,7 +138,7 @@ def triangle6(points: Array, corners: Array) -> tuple[Array, Array, Array]:
     Returns values (p, 6), gradients (m, p, 2, 6) 1/m and twice the areas (m,) m^2.
     """
     low = points
-    values = np.concatenate([low * (2 * low - 1), 4 * low * np.roll(low, -1, axis=1)], axis=1)
+    values = quadratic_shares(low)
     d1, d2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     double_area = d1[:, 0] * d2[:, 1] - d1[:, 1] * d2[:, 0]
     # grad l_i is the inward normal of the opposite edge over twice the area
