@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from benchmarks._report import progress
 from planners import paths
 from retract_env import __version__
-from retract_env.fem.solver import Diverged
+from retract_env.errors import Diverged
 from retract_env.grasp import Grasp, JawPath
 from retract_env.mesh import Resolution
 from retract_env.physics.fem import FemPhysics

@@ -18,8 +18,8 @@ import numpy as np
 
 from benchmarks._reference import CASES, METRICS, STORED, Array, Case, converge, errors, follow, store
 from benchmarks._report import machine, progress, table
+from retract_env.errors import Diverged
 from retract_env.fem.model import FlapModel
-from retract_env.fem.solver import Diverged
 from retract_env.mesh import RESOLUTIONS
 
 TARGETS = {"eps_max %": 2.0, "N %": 5.0, "shape %": 1.0}

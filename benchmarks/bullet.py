@@ -21,7 +21,7 @@ from benchmarks._report import machine, progress, table
 from planners.paths import ctc
 from retract_env.grasp import Grasp
 from retract_env.physics.base import Physics, TissueState
-from retract_env.physics.bullet import BULLET_RESOLUTIONS, STRIDE, TURN, BulletPhysics, BulletResolution
+from retract_env.physics.bullet.flap import BULLET_RESOLUTIONS, STRIDE, TURN, BulletPhysics, BulletResolution
 from retract_env.physics.fem import FemPhysics
 from retract_env.scene import Scene, load_scene
 

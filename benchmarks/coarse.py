@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from benchmarks._report import machine, progress, table
 from planners.paths import ctc
-from planners.spring import SpringModel
 from retract_env.physics.fem import FemPhysics
 from retract_env.scene import Scene, sample_scene
+from retract_env.spring import SpringModel
 
 Array = NDArray[np.float64]
 

@@ -14,12 +14,12 @@ import time
 from collections.abc import Sequence
 
 from benchmarks._report import ROOT, machine, on_one_thread, progress, table
-from planners.adaptation import Elastica
 from planners.certify import Trial
-from planners.elastica import Unsolved, solve
+from planners.elastica.grip import measured_grip
+from planners.elastica.planner import Elastica
+from planners.elastica.program import Unsolved, solve
 from planners.paths import ctc
 from planners.proposals import stable_grasps
-from planners.rod import measured_grip
 from retract_env.grasp import Grasp
 from retract_env.scene import LineOfSight, Scene, load_scene
 

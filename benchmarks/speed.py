@@ -22,7 +22,7 @@ from unittest.mock import patch
 from benchmarks._reference import CASES, SCENES, SQUEEZE, Case
 from benchmarks._report import ROOT, machine, progress, table
 from planners import NoPlan, Plan, plan
-from planners.generate_and_test import PRUNING, generate_and_test
+from planners.search import PRUNING, generate_and_test
 from retract_env.physics.fem import FemPhysics
 from retract_env.scene import load_scene
 
@@ -77,7 +77,7 @@ def retractions(budget: float) -> None:
 def planned(name: str, pruning: str, workers: int) -> Plan | NoPlan:
     """`plan` as users call it, pruning as told."""
     told = partial(generate_and_test, pruning=pruning)
-    with patch("planners.generate_and_test", told):
+    with patch("planners.search", told):
         try:
             return plan(load_scene(SCENES / f"{name}.yaml"), workers=workers)
         except NoPlan as none:
@@ -112,7 +112,7 @@ def plans(names: Sequence[str], workers: Sequence[int], budget: float) -> None:
 
 def run_process(arguments: Sequence[str], cache: str) -> tuple[float, float]:
     """Wall-clock, s, and peak memory, MiB (nan where the system does not tell), of `retract` in a process."""
-    code = "import sys; from baselines.cli import main; sys.exit(main())"
+    code = "import sys; from baselines.cli.app import main; sys.exit(main())"
     start = time.perf_counter()
     child = subprocess.Popen(
         [sys.executable, "-c", code, *arguments],

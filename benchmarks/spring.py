@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planners.spring import SpringModel
+from retract_env.spring import SpringModel
 
 Array = NDArray[np.float64]
 

@@ -18,9 +18,9 @@ from benchmarks._reference import SCENES
 from benchmarks._report import ROOT, machine, progress, table
 from planners import NoPlan, plan
 from planners.deform_closure import NODES, PAIRS, brute_force
-from planners.generate_and_test import cores
-from planners.spring import SpringModel
+from planners.search import cores
 from retract_env.scene import load_scene
+from retract_env.spring import SpringModel
 
 FLAPS = ("homogeneous", "ten_veins", "twenty_veins")
 AIMS = {"brute force": "20 s (the paper: 992 s)", "fig8": "60 s"}
@@ -69,7 +69,7 @@ def studies(names: Sequence[str], workers: int) -> None:
     rows: list[tuple[str, ...]] = []
     for name in names:
         progress(f"retract reproduce {name}")
-        code = "import sys; from baselines.cli import main; sys.exit(main())"
+        code = "import sys; from baselines.cli.app import main; sys.exit(main())"
         with tempfile.TemporaryDirectory() as out:
             command = [sys.executable, "-c", code, "reproduce", name, "--out", out, "--workers", str(workers)]
             start, before = time.perf_counter(), os.times()

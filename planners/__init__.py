@@ -10,10 +10,10 @@ from planners.base import Candidate, NoPlan, Plan, Planner
 from planners.certify import Certificate, Trial, certify
 from planners.deform_closure import closure_grasps
 from planners.eased import plan_eased
-from planners.fem_gradient import plan_fem_gradient
-from planners.generate_and_test import generate_and_test
+from planners.fem_gradient.planner import plan_fem_gradient
 from planners.light_grip import LightGrip
 from planners.proposals import PATHS, along, stable_grasps, uniform_grasps
+from planners.search import generate_and_test
 from retract_env.grasp import Grasp, JawPath
 from retract_env.scene import Scene
 
@@ -38,7 +38,7 @@ def _search(
 
 def _elastica(scene: Scene, grasp: Grasp, path: JawPath, resolution: str) -> Trial:
     """An `Elastica`, imported when it is wanted, as it needs the extra `optimize`."""
-    from planners.adaptation import Elastica
+    from planners.elastica.planner import Elastica
 
     return Elastica(scene, grasp, path, resolution)
 

@@ -21,7 +21,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planners.spring import optimal_compression
 from retract_env.fem.elements import quadratic_depth, symmetric_depth
 from retract_env.fem.linear import cholesky
 from retract_env.fem.model import FlapModel
@@ -30,6 +29,7 @@ from retract_env.grasp import Grasp
 from retract_env.mesh import SLIVER, Resolution, section_mesh
 from retract_env.objectives import strain, worst_mean
 from retract_env.scene import Scene
+from retract_env.spring import optimal_compression
 
 Array = NDArray[np.float64]
 

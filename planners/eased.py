@@ -17,7 +17,7 @@ import numpy as np
 from planners import paths
 from planners.base import PROMISING, Candidate, NoPlan, Plan
 from planners.certify import Trial
-from planners.generate_and_test import OnUpdate, generate_and_test
+from planners.search import OnUpdate, generate_and_test
 from retract_env.grasp import Grasp, JawPath
 from retract_env.mesh import SLIVER
 from retract_env.scene import Scene

@@ -111,7 +111,7 @@ class LightGrip(Trial):
         self._most = FIRMEST * scene.tissue.height
         self._searched = False
 
-    def squeeze(self) -> None:
+    def squeeze(self, on_increment: Callable[[], None] = lambda: None) -> None:
         """Find the compression on the coarse mesh; its strain there bounds from below what can be
         certified."""
         if self._searched:
@@ -121,7 +121,7 @@ class LightGrip(Trial):
         def attempt(delta: float) -> Outcome:
             self._close_by(delta)
             trial = Trial(self._lifted, self.grasp, self.path, SEARCHED_ON)
-            trial.squeeze()
+            trial.squeeze(on_increment)
             trial.move()
             trials.append(trial)
             return Outcome(trial.required_friction, str(trial.reason))
@@ -149,7 +149,7 @@ class LightGrip(Trial):
 
         def attempt(delta: float) -> Outcome:
             self._close_by(delta)
-            self.scene = self._lifted
+            self.limits = self._lifted.limits
             super(LightGrip, self).squeeze()
             super(LightGrip, self).move(lambda: (1 + DOUBT) * bound(), on_increment)
             return Outcome(self.required_friction, str(self.reason))
@@ -157,7 +157,7 @@ class LightGrip(Trial):
         delta, self.reason = least_compression(attempt, self.grasp.compression, self._most, self._allowed)
         if self.reason == "ok" and delta != self.grasp.compression:
             self.reason = attempt(delta).reason
-        self.scene = self._asked  # its limits are kept; the certificate is to name them
+        self.limits = self._asked.limits  # the certificate is to name them
 
     def _close_by(self, delta: float) -> None:
         self.grasp = Grasp(self.grasp.x, delta, self.grasp.score)

@@ -10,10 +10,10 @@ from itertools import product
 import numpy as np
 
 from planners import paths
-from planners.spring import SpringModel, optimal_compression
 from retract_env.grasp import Grasp, JawPath
 from retract_env.mesh import SLIVER
 from retract_env.scene import Scene
+from retract_env.spring import SpringModel, optimal_compression
 
 PathOf = Callable[[Scene, Grasp], JawPath]
 

@@ -12,12 +12,12 @@ from gymnasium.error import ResetNeeded
 from gymnasium.utils import EzPickle
 from numpy.typing import ArrayLike, NDArray
 
-from retract_env import actions, task
-from retract_env.episode import Episode
+from retract_env.drawing.stage import PIXELS, Stage
 from retract_env.grasp import Grasp
-from retract_env.physics.pool import DEFAULT_RESOLUTION, PhysicsPool
+from retract_env.physics.registry import DEFAULT_RESOLUTION, PhysicsPool
 from retract_env.scene import Scene, load_scene, sample_scene
-from retract_env.stage import PIXELS, Stage
+from retract_env.task import actions, task
+from retract_env.task.episode import Episode
 
 
 class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]], EzPickle):

@@ -10,10 +10,9 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from retract_env import actions
 from retract_env.grasp import Grasp, JawPath
 from retract_env.scene import Scene
-from retract_env.task import SLICES
+from retract_env.task import SLICES, actions
 
 Array = NDArray[np.float64]
 Policy = Callable[[NDArray[Any]], NDArray[Any]]

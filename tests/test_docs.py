@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from retract_env import actions, task
 from retract_env.env import TissueRetractEnv
 from retract_env.mesh import SLIVER
-from retract_env.task import LAYOUT, SLICES
+from retract_env.task import LAYOUT, SLICES, actions, task
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = (ROOT / "docs" / "environment.md").read_text("utf-8")

@@ -13,9 +13,9 @@ from PIL import Image
 
 from planners.paths import ctc
 from retract_env.env import TissueRetractEnv
-from retract_env.episode import spring_grasps
 from retract_env.rollout import PathPolicy
 from retract_env.scene import load_scene
+from retract_env.task.episode import spring_grasps
 
 HERE = Path(__file__).resolve().parent
 SCENE = HERE.parents[1] / "configs" / "scenes" / "ten_veins.yaml"

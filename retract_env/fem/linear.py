@@ -16,12 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csc_matrix, csr_matrix
 
+from retract_env.errors import NotPositiveDefinite
+
 Array = NDArray[np.float64]
 Ints = NDArray[np.int32]
-
-
-class NotPositiveDefinite(ArithmeticError):
-    """The matrix has no Cholesky factorisation."""
 
 
 class Factor(Protocol):

@@ -12,10 +12,10 @@ from collections import Counter
 import numpy as np
 from numpy.typing import NDArray
 
-from retract_env.fem.linear import Factor, NotPositiveDefinite, cholesky
+from retract_env.errors import Diverged, NotPositiveDefinite
+from retract_env.fem.linear import Factor, cholesky
 from retract_env.fem.model import FlapModel
 from retract_env.objectives import WORST_FRACTION
-from retract_env.physics.base import Diverged as Diverged
 
 Array = NDArray[np.float64]
 

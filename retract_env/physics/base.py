@@ -14,10 +14,6 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
-class Diverged(ArithmeticError):
-    """No equilibrium was found."""
-
-
 @dataclass(frozen=True)
 class TissueState:
     """The flap in equilibrium with one pose of the jaws.

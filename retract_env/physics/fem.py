@@ -11,12 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix, hstack, identity
 
+from retract_env.errors import Diverged
 from retract_env.fem.beam import BeamGuess
 from retract_env.fem.model import FlapModel
-from retract_env.fem.solver import Diverged, Equilibrium
+from retract_env.fem.solver import Equilibrium
 from retract_env.grasp import to_jaws, to_pose
 from retract_env.mesh import RESOLUTIONS, Resolution, patch_ends, section_mesh
-from retract_env.outlines import fewer_corners, reaching
+from retract_env.mesh.outlines import fewer_corners, reaching
 from retract_env.physics.base import TissueState
 from retract_env.physics.measures import Measures
 from retract_env.scene import Scene

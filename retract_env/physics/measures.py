@@ -6,17 +6,23 @@ positions, by the finite-element kernels.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
+from retract_env.errors import Diverged
 from retract_env.fem.assembly import Assembly
 from retract_env.fem.elements import ElementBlock, lame
+from retract_env.fem.linear import Factor, cholesky
 from retract_env.mesh import SectionMesh
 from retract_env.objectives import clearance, required_friction, strain, worst_mean
-from retract_env.physics.base import Diverged, TissueState
-from retract_env.physics.tetmesh import TetMesh
+from retract_env.physics.base import TissueState
 from retract_env.scene import Scene
+
+if TYPE_CHECKING:
+    from retract_env.physics.bullet.tetmesh import TetMesh
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -93,6 +99,10 @@ class TetrahedralFlap:
         self.blocks = [linear_tetrahedra(mesh.points, mesh.cells, modulus, poisson)]
         self.assembly = Assembly(self.blocks, self._free.size, np.flatnonzero(self._free).astype(np.int32))
         self._measures = Measures(scene, mesh.section, self.assembly, mesh.share)
+
+    def factor(self) -> Factor:
+        """A factorisation for tangents over the nodes that move."""
+        return cholesky(self.assembly.indptr, self.assembly.indices)
 
     def state(self, u: Array, load: Array, jaws: Array, progress: float) -> TissueState:
         """The state at displacements u (n, 3) m under nodal loads (n, 3) N, jaws (4,) m.

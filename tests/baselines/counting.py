@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from baselines.journal import run_tasks
+from baselines.jobs.journal import run_tasks
 
 
 def square(task: Mapping[str, Any]) -> dict[str, Any]:

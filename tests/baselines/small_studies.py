@@ -5,11 +5,11 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 
-from baselines.cli import main
-from baselines.studies import STUDIES
-from baselines.studies.paths import FIG8, path_tasks
-from baselines.studies.report import paper_scene
-from baselines.tasks import Task
+from baselines.cli.app import main
+from baselines.paper.paths import FIG8, path_tasks
+from baselines.paper.report import paper_scene
+from baselines.paper.studies import STUDIES
+from baselines.paper.tasks import Task
 from retract_env.scene import Scene
 
 SMALL = "fig8"

@@ -7,11 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from baselines.policies import Policy
-from baselines.recipe import Recipe
-from retract_env import actions, task
+from baselines.learning.policies import Policy
+from baselines.learning.recipe import Recipe
 from retract_env.scene import LineOfSight
-from retract_env.task import default_scene
+from retract_env.task import actions, default_scene, task
 
 
 def policy(seed: int = 0, sizes: tuple[int, ...] = (8, 5), **changes: Any) -> Policy:

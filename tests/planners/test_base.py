@@ -12,8 +12,8 @@ import pytest
 from planners import PLANNERS, plan
 from planners.base import Candidate, NoPlan, Plan, plan_from_json
 from planners.certify import certify
-from planners.generate_and_test import generate_and_test
 from planners.paths import ctc
+from planners.search import generate_and_test
 from retract_env.grasp import Grasp
 from tests.planners.retractions import a_grasp, a_scene, veined
 

@@ -10,8 +10,8 @@ import pytest
 
 from planners import plan
 from planners.deform_closure import RIPPLE, Closure, brute_force, closure_grasps, stable_pairs
-from planners.spring import SpringModel
 from retract_env.scene import Scene, Tissue, Vein
+from retract_env.spring import SpringModel
 from tests.planners.retractions import a_scene, veined
 
 L, H = 0.05, 0.0044  # m

@@ -10,10 +10,10 @@ import pytest
 from planners import plan
 from planners.base import Plan
 from planners.certify import certify
-from planners.generate_and_test import generate_and_test
 from planners.light_grip import MARGIN, MOST_TRIALS, TOLERANCE, LightGrip, Outcome, least_compression
 from planners.paths import circular, ctc
 from planners.proposals import PATHS, along
+from planners.search import generate_and_test
 from retract_env.grasp import Grasp, JawPath
 from retract_env.scene import Scene
 from tests.planners.retractions import MOTIONS, a_grasp, a_scene, poses

@@ -7,7 +7,7 @@ import pytest
 
 from planners import PLANNERS
 from planners.proposals import PATHS, along, stable_grasps, uniform_grasps
-from planners.spring import SpringModel, optimal_compression
+from retract_env.spring import SpringModel, optimal_compression
 from tests.planners.retractions import a_scene, veined
 from tests.retract_env.bodies import HEIGHT, LENGTH
 

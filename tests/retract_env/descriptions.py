@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from retract_env.scene import SceneError
+from retract_env.errors import SceneError
 
 LENGTH, HEIGHT = 0.05, 0.0044  # m
 SQUARE = [[-0.026, 0.001], [-0.024, 0.001], [-0.024, 0.003], [-0.026, 0.003]]

@@ -7,10 +7,10 @@ from functools import cache
 from pathlib import Path
 
 from planners.paths import ctc
+from retract_env.drawing.renderer import SectionRenderer
 from retract_env.grasp import Grasp
 from retract_env.physics.base import TissueState
 from retract_env.physics.fem import FemPhysics
-from retract_env.render import SectionRenderer
 from retract_env.scene import Scene, load_scene
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -18,10 +18,9 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 from numpy.typing import NDArray
 
-from retract_env import task
 from retract_env.env import TissueRetractEnv
 from retract_env.scene import sample_scene
-from retract_env.task import default_scene
+from retract_env.task import default_scene, task
 from tests.retract_env.playing import BULLET, FEM, LIFT, digest, play
 
 ROOT = Path(__file__).resolve().parents[2]

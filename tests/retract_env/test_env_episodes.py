@@ -15,12 +15,12 @@ from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 import retract_env.physics.fem
-from retract_env import task
 from retract_env.env import TissueRetractEnv
-from retract_env.physics.base import Diverged, TissueState
+from retract_env.errors import Diverged, SceneError
+from retract_env.physics.base import TissueState
 from retract_env.physics.fem import FemPhysics
-from retract_env.scene import Scene, SceneError, load_scene
-from retract_env.task import SLICES, default_scene
+from retract_env.scene import Scene, load_scene
+from retract_env.task import SLICES, default_scene, task
 from tests.retract_env.bodies import flap, square_vein
 from tests.retract_env.playing import BULLET, FEM, LIFT, digest, play
 

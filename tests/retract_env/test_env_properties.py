@@ -12,10 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retract_env import task
 from retract_env.rollout import rollout
 from retract_env.scene import LineOfSight
-from retract_env.task import SLICES, default_scene
+from retract_env.task import SLICES, default_scene, task
 from tests.retract_env.playing import BULLET, FEM
 
 seeds = st.integers(0, 2**31 - 1)

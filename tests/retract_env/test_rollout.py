@@ -14,12 +14,11 @@ import pytest
 import retract_env  # noqa: F401  (registers the environments)
 from planners import certify, plan
 from planners.paths import circular, ctc
-from retract_env import task
-from retract_env.episode import spring_grasps
 from retract_env.grasp import Grasp, JawPath, to_pose
 from retract_env.rollout import PathPolicy, Rollout, gripper_pose, rollout
 from retract_env.scene import Scene, load_scene
-from retract_env.task import default_scene
+from retract_env.task import default_scene, task
+from retract_env.task.episode import spring_grasps
 
 SCENES = Path(__file__).resolve().parents[2] / "configs" / "scenes"
 MakeEnv = Callable[..., Any]

@@ -1,0 +1,1 @@
+"""All methods on frozen scenes, judged by the certifier."""

@@ -1,0 +1,122 @@
+"""The benchmark's charts, each as the bytes of a PNG."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import PercentFormatter
+from numpy.typing import NDArray
+
+from baselines.benchmark.scores import FAILURES, Summary
+from baselines.pictures.drawing import STYLE
+from retract_env.drawing.palette import GREY, INK, SIGHT
+
+Array = NDArray[np.float64]
+
+DPI = 160
+WIDTH = 8.0
+"""inches"""
+FAILED = {
+    "not_visible": "#c9ced3",
+    "strain": "#d55e00",
+    "slip": "#e69f00",
+    "release": "#cc79a7",
+    "diverged": "#6d757d",
+}
+LINES = ("#0072b2", "#d55e00", "#00805f", "#cc79a7", "#e69f00", "#56b4e9", "#22282e", "#999999")
+"""Okabe and Ito's colours, but the yellow, which is too pale for a line."""
+DASHES = ("-", "--", ":")
+
+
+def share_chart(found: Sequence[Summary]) -> bytes:
+    """What becomes of each method's retractions: certified, or why not."""
+
+    def draw(axes: Axes) -> None:
+        at = np.arange(len(found))[::-1]
+        certified = np.array([s.certified.value for s in found])
+        axes.barh(at, certified, color=SIGHT, label="certified")
+        ends = np.array(
+            [[s.certified.value - s.certified.low, s.certified.high - s.certified.value] for s in found]
+        )
+        axes.errorbar(certified, at, xerr=np.maximum(ends.T, 0), fmt="none", ecolor=INK, capsize=2.5, lw=1)
+        left = certified.copy()
+        for failure in FAILURES:
+            part = np.array([s.failures[failure] for s in found])
+            if part.any():
+                axes.barh(at, part, left=left, color=FAILED[failure], label=failure.replace("_", " "))
+            left += part
+        axes.set_yticks(at, [s.method for s in found])
+        axes.set_xlim(0, 1)
+        axes.xaxis.set_major_formatter(PercentFormatter(1))
+        axes.set_xlabel("scenes")
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1 - 0.4 / len(found)), ncols=6, frameon=False)
+
+    return _png(draw, 1.3 + 0.32 * len(found))
+
+
+def profile_chart(scores: Mapping[str, Array]) -> bytes:
+    """Share of scenes where a method comes within a factor of the best known strain.
+
+    scores: (runs, scenes) of each method, 1 for the best known, 0 where not certified.
+    """
+
+    def draw(axes: Axes) -> None:
+        excess = np.linspace(1, 4, 301)
+        for k, (name, values) in enumerate(scores.items()):
+            shares = (values.ravel()[:, None] >= 1 / excess - 1e-12).mean(axis=0)
+            axes.plot(excess, shares, color=LINES[k % len(LINES)], ls=DASHES[k // len(LINES)], label=name)
+        axes.set_xlim(1, 4)
+        axes.set_ylim(0, 1.02)
+        axes.yaxis.set_major_formatter(PercentFormatter(1))
+        axes.set_xlabel("strain over the least that any method reached in the scene, at most")
+        axes.set_ylabel("scenes")
+        axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
+
+    return _png(draw, 3.6)
+
+
+def curve_chart(curves: Mapping[str, Sequence[Sequence[Mapping[str, Any]]]]) -> bytes:
+    """Success on the validation split over the part of training, every seed of each method."""
+
+    def draw(axes: Axes) -> None:
+        for k, (name, runs) in enumerate(curves.items()):
+            for i, run in enumerate(runs):
+                steps = np.array([line["steps"] for line in run], np.float64)
+                label = name if i == 0 else None
+                axes.plot(
+                    steps / steps[-1],
+                    [line["success"] for line in run],
+                    color=LINES[k % len(LINES)],
+                    lw=1.2,
+                    marker=".",
+                    label=label,
+                )
+        axes.set_xlim(0, 1.01)
+        axes.set_ylim(-0.02, 1.02)
+        axes.xaxis.set_major_formatter(PercentFormatter(1))
+        axes.yaxis.set_major_formatter(PercentFormatter(1))
+        axes.set_xlabel("of the training's steps")
+        axes.set_ylabel("episodes that succeed")
+        axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
+
+    return _png(draw, 3.2)
+
+
+def _png(draw: Callable[[Axes], None], height: float) -> bytes:
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(WIDTH, height), layout="constrained")
+        FigureCanvasAgg(figure)
+        axes = figure.add_subplot()
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.tick_params(color=GREY)
+        draw(axes)
+        content = io.BytesIO()
+        figure.savefig(content, format="png", dpi=DPI, metadata={"Software": None})
+    return content.getvalue()

@@ -1,0 +1,102 @@
+"""The benchmark's frozen scenes: splits drawn from seeds, held to the hash that the configuration states."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Mapping
+from dataclasses import fields
+from os import PathLike
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+from pydantic import BeforeValidator, Field
+
+from baselines.learning.recipe import whole
+from retract_env.config import Frozen, Listed, brief, read_yaml, refusal
+from retract_env.errors import ConfigError
+from retract_env.scene import Scene, sample_scene
+from retract_env.scene.sampling import SceneRanges
+
+
+class BenchmarkError(ConfigError):
+    """A benchmark that cannot be run; the message is one line."""
+
+
+class _Part(Frozen):
+    """Constructors and `from_data` raise `BenchmarkError`."""
+
+    error_type: ClassVar[type[ConfigError]] = BenchmarkError
+
+
+def _ranges(value: Any) -> dict[str, tuple[float, float]]:
+    known = [f.name for f in fields(SceneRanges)]
+    if not isinstance(value, Mapping):
+        raise refusal(f" = {brief(value)}, not a mapping; known keys: {', '.join(known)}")
+    for name, ends in value.items():
+        if name not in known:
+            raise refusal(f".{name}: unknown key; known keys: {', '.join(known)}")
+        numbers = isinstance(ends, list | tuple) and all(isinstance(e, int | float) for e in ends)
+        if not numbers or len(ends) != 2 or not 0 <= ends[0] <= ends[1] < math.inf:
+            raise refusal(f".{name} = {brief(ends)}, allowed [least, greatest] from 0 upwards")
+    return {str(name): (ends[0], ends[1]) for name, ends in value.items()}
+
+
+class Split(_Part):
+    """Scenes number 0 ... count - 1, each from the seeds [seed, number]."""
+
+    seed: Annotated[int, whole(2, 2**31)]
+    """Not 1: demonstrations begin with that."""
+    count: Annotated[int, whole(1, 100_000)]
+    ranges: Annotated[dict[str, tuple[float, float]], BeforeValidator(_ranges)] = Field(default_factory=dict)
+    """Where scenes are drawn from, as `SceneRanges` has them; what is left out is its default."""
+    hash: Annotated[str, Field(pattern="^[0-9a-f]{16}$")]
+    """Of all scenes, so that a change of them is noticed."""
+    slow: Annotated[int, whole(0, 100_000)] = 0
+    """Scenes that slow planners are judged on too."""
+
+    def scenes(self, most: int | None = None) -> list[Scene]:
+        """The first `most` scenes, or all, then held to the hash. Raises BenchmarkError."""
+        known: dict[str, Any] = dict(self.ranges)
+        ranges = SceneRanges(**known)
+        count = self.count if most is None else min(most, self.count)
+        scenes = [sample_scene(np.random.default_rng([self.seed, k]), ranges) for k in range(count)]
+        if count == self.count and (found := hash_of(scenes)) != self.hash:
+            raise BenchmarkError(
+                f"hash = {self.hash!r}, but these scenes have {found!r}: they are not those that results "
+                "were measured on"
+            )
+        return scenes
+
+
+class Benchmark(_Part):
+    """What is compared on what."""
+
+    splits: dict[str, Split]
+    resolution: str
+    """Of the certifier."""
+    policy_resolution: str
+    """Of the environment that policies move in."""
+    lead_out: Annotated[int, whole(0, 64)]
+    """Moves like its last that a policy's path goes on for, as the finer mesh may clear later."""
+    seed: Annotated[int, whole(0, 2**31)]
+    """Of the random policy, and of the bootstrap."""
+    bootstrap: Annotated[int, whole(10, 10**6)]
+    """Resamples behind an interval."""
+    planners: Annotated[tuple[str, ...], Listed]
+    """Judged on every scene."""
+    slow_planners: Annotated[tuple[str, ...], Listed] = ()
+    """Judged on the first `slow` scenes of a split only."""
+
+
+def hash_of(scenes: list[Scene]) -> str:
+    """16 hex digits of the SHA-256 over the scenes' hashes."""
+    return hashlib.sha256("".join(scene.hash for scene in scenes).encode()).hexdigest()[:16]
+
+
+def load_benchmark(path: str | PathLike[str]) -> Benchmark:
+    """Benchmark from a YAML file. Raises BenchmarkError, naming the file."""
+    try:
+        return Benchmark.from_data(read_yaml(path))
+    except ConfigError as error:
+        raise BenchmarkError(f"{path}: {error}") from None

@@ -1,0 +1,27 @@
+"""Which code a result comes from."""
+
+from __future__ import annotations
+
+import hashlib
+from functools import cache
+from pathlib import Path
+
+import retract_env
+
+PACKAGES = ("retract_env", "planners", "baselines")
+NO_RESULTS = ("retract_env/drawing", "baselines/pictures", "baselines/cli")
+"""Folders of what draws and talks: no number depends on them."""
+
+
+@cache
+def code_version() -> str:
+    """The version, and a digest of all sources that results come from."""
+    root = Path(retract_env.__file__).parents[1]
+    digest = hashlib.sha256()
+    for package in PACKAGES:
+        for source in sorted((root / package).rglob("*.py")):
+            name = source.relative_to(root).as_posix()
+            if not name.startswith(NO_RESULTS):
+                digest.update(f"{name}\0".encode())
+                digest.update(source.read_bytes())
+    return f"{retract_env.__version__}+{digest.hexdigest()[:12]}"

@@ -1,0 +1,86 @@
+"""Behaviour cloning: the policy class of an algorithm, fitted to demonstrations by least squares."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import torch
+from stable_baselines3.common.vec_env import VecNormalize
+
+from baselines.learning.agents import Agent, OnStep, State
+from baselines.learning.demos import Demos
+from baselines.learning.envs import seed_of
+from baselines.learning.recipe import BC, Recipe
+from retract_env.task import SLICES, STIFFNESS_SAMPLES
+
+TOLD = 200
+"""Gradient steps between words of progress."""
+
+
+class Cloner(Agent):
+    """An agent whose steps are gradient steps on demonstrations; its environments only judge it."""
+
+    def __init__(self, recipe: Recipe, envs: VecNormalize, seed: int, demos: Demos, log: Path | None = None):
+        super().__init__(recipe, envs, seed, log)
+        assert isinstance(recipe.learner, BC)
+        self.how: BC = recipe.learner
+        seen = demos.observations
+        self.normalise(seen.mean(axis=0, dtype=np.float64), seen.var(axis=0, dtype=np.float64))
+        floor, clip = recipe.observation.floor, recipe.observation.clip
+        deviation = np.sqrt(self.stats.var + floor**2)
+        normal = np.clip((seen - self.stats.mean) / deviation, -clip, clip)
+        self._inputs = torch.from_numpy(normal.astype(np.float32))
+        self._targets = torch.from_numpy(demos.actions.copy())
+        choosing = torch.from_numpy(seen[:, SLICES["holding"]] == 0)
+        # the third number of a grasp has no meaning
+        self._weights = torch.where(choosing, torch.tensor([1.0, 1.0, 0.0]) * self.how.grasp_weight, 1.0)
+        parameters = [p for layer in self._layers() for p in layer.parameters()]
+        self.optimizer = torch.optim.AdamW(
+            parameters, self.how.learning_rate, weight_decay=self.how.weight_decay
+        )
+
+    def learn(self, steps: int, on_step: OnStep) -> None:
+        """So many gradient steps on batches drawn from the run's seed and the steps done."""
+        rng = torch.Generator().manual_seed(seed_of(self.seed, self.steps))
+        count, size = len(self._inputs), self.how.batch_size
+        for _ in range(steps):
+            done = self.steps / self.recipe.steps
+            for group in self.optimizer.param_groups:
+                group["lr"] = self.how.learning_rate * (1 + math.cos(math.pi * done)) / 2
+            batch = torch.randint(count, (size,), generator=rng)
+            inputs = self._inputs[batch]
+            inputs[:, SLICES["k_eq"]] += self.how.stiffness_noise * torch.randn(
+                (size, STIFFNESS_SAMPLES), generator=rng
+            )
+            error = self._mean_action(inputs) - self._targets[batch]
+            weights = self._weights[batch]
+            loss = (weights * error**2).sum() / weights.sum()
+            self.optimizer.zero_grad()
+            torch.autograd.backward(loss)
+            self.optimizer.step()
+            self.model.num_timesteps += 1
+            if self.steps % TOLD == 0:
+                on_step(self.steps)
+                self.record({"train/loss": float(loss.detach())})
+        on_step(self.steps)
+
+    def state(self) -> State:
+        """As the agent's, and the optimiser."""
+        return super().state() | {"cloning": self.optimizer.state_dict()}
+
+    def restore(self, state: State) -> None:
+        """The inverse of `state`. Raises as the agent's."""
+        super().restore(state)
+        self.optimizer.load_state_dict(state["cloning"])
+
+    def _mean_action(self, inputs: torch.Tensor) -> torch.Tensor:
+        """(n, 3), as `Policy` computes it, but not clipped: beyond the limits there is no gradient."""
+        layers = self._layers()
+        squash = torch.tanh if self.recipe.network.activation == "tanh" else torch.relu
+        x = inputs
+        for layer in layers[:-1]:
+            x = squash(layer(x))
+        x = layers[-1](x)
+        return torch.tanh(x) if self._output == "tanh" else x

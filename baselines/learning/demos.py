@@ -1,0 +1,195 @@
+"""Demonstrations: certified plans played through the environment, kept as a Minari data set.
+
+Scenes are drawn from seeds. Of each episode the data set keeps the seed, the scene's hash and the plan's
+certificate; of the whole, the command that made it and the seeds for which nothing was certified.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+import retract_env
+from baselines.jobs.journal import Row, Task
+from retract_env.errors import ConfigError
+from retract_env.rollout import PathPolicy, Rollout, rollout
+from retract_env.scene import Scene, sample_scene
+
+Floats = NDArray[np.float32]
+
+SEED = 1
+"""What all seeds of demonstrated scenes begin with, so that no split of the benchmark shares a scene."""
+ENV = "TissueRetractFEM-v0"
+KWARGS: dict[str, Any] = {"scene": "random", "grasp": "agent"}
+"""The environment that the data set names."""
+
+
+class DemosError(ConfigError):
+    """A data set that cannot be made or used; the message is one line."""
+
+
+def demo_scene(seed: int) -> Scene:
+    """The scene that a demonstration's seed names."""
+    return sample_scene(np.random.default_rng([SEED, seed]))
+
+
+def demonstrate(task: Task) -> Row:
+    """Plan, certify and play one scene; work for `run_tasks`.
+
+    task: planner, resolution of its certificate, seed. The row has the certificate, None where none is
+    certified, and the episode, None where the environment did not succeed too.
+    """
+    from planners import NoPlan, plan
+
+    scene = demo_scene(task["seed"])
+    row: Row = {"seed": task["seed"], "scene_hash": scene.hash, "certificate": None, "episode": None}
+    try:
+        best = plan(scene, task["planner"], task["resolution"], workers=1)
+    except NoPlan as none:
+        return row | {"failure": str(none)}
+    # the history can be made again; without it the certificate fits into a data set's attributes
+    row["certificate"] = {k: v for k, v in best.certificate.to_json().items() if k != "history"}
+    env = gym.make(ENV, disable_env_checker=True, **KWARGS).unwrapped
+    played = rollout(env, PathPolicy.of(best), seed=task["seed"], options={"scene": scene.dump()})
+    env.close()
+    if not played.success:
+        return row | {"failure": f"environment: {played.infos[-1]['failure'] or 'not_visible'}"}
+    return row | {"failure": "", "episode": _packed(played)}
+
+
+def _packed(played: Rollout) -> dict[str, Any]:
+    return {
+        "observations": base64.b64encode(played.observations.astype(np.float32).tobytes()).decode(),
+        "actions": base64.b64encode(played.actions.astype(np.float32).tobytes()).decode(),
+        "rewards": played.rewards.tolist(),
+    }
+
+
+def check_free(name: str) -> None:
+    """Raise DemosError unless a data set can get this name."""
+    _minari()
+    from minari.dataset.minari_dataset import DATASET_ID_RE
+    from minari.storage import get_dataset_path
+
+    if DATASET_ID_RE.fullmatch(name) is None or "-v" not in name:
+        raise DemosError(f"dataset = {name!r}, allowed names such as tissue-retract/ctc-v0")
+    if (path := get_dataset_path(name)).exists():
+        raise DemosError(f"dataset {name}: there is one already, in {path}")
+
+
+def write_dataset(name: str, rows: Sequence[Row], task: Task, command: str) -> int:
+    """Make the Minari data set `name` from rows of `demonstrate`; returns how many episodes it has.
+
+    Raises DemosError where there are none, where the name is not one of Minari's, or is taken.
+    """
+    minari = _minari()
+    from minari.data_collector.episode_buffer import EpisodeBuffer
+
+    good = [row for row in rows if row["episode"] is not None]
+    if not good:
+        raise DemosError(f"{len(rows)} scenes, none demonstrated: {rows[0]['failure']}")
+    env = gym.make(ENV, **KWARGS)
+    width, size = (gym.spaces.flatdim(space) for space in (env.observation_space, env.action_space))
+    buffers = []
+    for number, row in enumerate(good):
+        episode = row["episode"]
+        steps = len(episode["rewards"])
+        last = [k == steps - 1 for k in range(steps)]
+        buffers.append(
+            EpisodeBuffer(
+                id=number,
+                seed=row["seed"],
+                observations=list(_unpacked(episode["observations"], width)),
+                actions=list(_unpacked(episode["actions"], size)),
+                rewards=episode["rewards"],
+                terminations=last,  # the environment has succeeded
+                truncations=[False] * steps,
+            )
+        )
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of what it would like to know besides
+            dataset = minari.create_dataset_from_buffers(
+                name,
+                buffers,
+                env=env,
+                algorithm_name=str(task["planner"]),
+                description=f"Certified retractions of random flaps by the planner {task['planner']}.",
+            )
+    except (ValueError, OSError) as error:
+        raise DemosError(f"dataset {name}: {error}") from None
+    finally:
+        env.close()
+    dataset.storage.update_episode_metadata(
+        [
+            {
+                "scene_seed": [SEED, row["seed"]],
+                "scene_hash": row["scene_hash"],
+                "certificate": json.dumps(row["certificate"], sort_keys=True),
+            }
+            for row in good
+        ]
+    )
+    failed = {str(row["seed"]): row["failure"] for row in rows if row["episode"] is None}
+    dataset.storage.update_metadata(
+        {
+            "command": command,
+            "retract_version": retract_env.__version__,
+            "certificates": task["resolution"],
+            "failed_seeds": failed,
+        }
+    )
+    return len(good)
+
+
+@dataclass(frozen=True)
+class Demos:
+    """A data set as the learner wants it: n moves of all episodes in a row."""
+
+    observations: Floats
+    """(n, 107)"""
+    actions: Floats
+    """(n, 3)"""
+    episodes: int
+
+
+def load_demos(name: str, most: int | None = None) -> Demos:
+    """A data set's first `most` episodes, or all. Raises DemosError."""
+    minari = _minari()
+    try:
+        dataset = minari.load_dataset(name)
+        episodes = [episode for _, episode in zip(range(most or len(dataset)), dataset, strict=False)]
+        observations = np.concatenate([e.observations[:-1] for e in episodes]).astype(np.float32)
+        actions = np.concatenate([e.actions for e in episodes]).astype(np.float32)
+    except FileNotFoundError:
+        raise DemosError(f"dataset {name}: there is none; `retract demos` makes one") from None
+    except (ValueError, OSError, KeyError) as error:
+        raise DemosError(f"dataset {name}: {error}") from None
+    return Demos(observations, actions, len(episodes))
+
+
+def _unpacked(text: str, width: int) -> Floats:
+    return np.frombuffer(base64.b64decode(text), np.float32).reshape(-1, width)
+
+
+def _minari() -> Any:
+    try:
+        import minari
+    except ImportError:
+        raise DemosError("demonstrations need Minari: pip install 'retract[rl]'") from None
+    return minari
+
+
+def summary(rows: Sequence[Mapping[str, Any]]) -> str:
+    """One line of counts."""
+    good = sum(row["episode"] is not None for row in rows)
+    certified = sum(row["certificate"] is not None for row in rows)
+    return f"{len(rows)} scenes, {certified} certified, {good} demonstrated"

@@ -1,0 +1,85 @@
+"""The environments that agents learn in: many side by side, their observations normalised."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any, cast
+
+import gymnasium as gym
+import numpy as np
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv, VecNormalize
+
+from baselines.jobs.journal import single_threaded
+from baselines.learning.policies import Policy
+from baselines.learning.recipe import Recipe, Task
+from retract_env.env import TissueRetractEnv
+from retract_env.rollout import rollout
+
+IDS = {"fem": "TissueRetractFEM-v0", "bullet": "TissueRetract-v0"}
+
+
+class Judged(gym.Wrapper[Any, Any, Any, Any]):
+    """An environment that can be asked to play a policy, so that those side by side share an evaluation."""
+
+    def __init__(self, env: gym.Env[Any, Any], rank: int, of: int):
+        super().__init__(env)
+        self.rank, self.of = rank, of
+
+    def play(self, policy: Policy, scenes: Sequence[Mapping[str, Any] | None]) -> list[dict[str, Any]]:
+        """Outcome of an episode in each scene that is this environment's share; None is its own scene."""
+        return [outcome(self.unwrapped, policy, scene) for scene in scenes[self.rank :: self.of]]
+
+
+def outcome(env: gym.Env[Any, Any], policy: Policy, scene: Mapping[str, Any] | None) -> dict[str, Any]:
+    """What became of one episode: success, failure, total reward, greatest strain over its limit, steps."""
+    played = rollout(env, policy, seed=0, options=None if scene is None else {"scene": scene})
+    last = played.infos[-1]
+    limit = cast(TissueRetractEnv, env.unwrapped).episode.task.scene.limits.strain
+    return {
+        "success": played.success,
+        "failure": last["failure"] or ("" if played.success else "not_visible"),
+        "total": played.total,
+        "strain": last["max_strain"] / limit,
+        "steps": len(played),
+    }
+
+
+def arguments(task: Task) -> dict[str, Any]:
+    """Keyword arguments of the environment."""
+    return {"scene": task.scene, "grasp": task.grasp, "resolution": task.resolution}
+
+
+def make_env(task: Task, rank: int, of: int) -> gym.Env[Any, Any]:
+    """One environment with its statistics of episodes."""
+    env = gym.make(IDS[task.physics], disable_env_checker=True, **arguments(task))
+    return Monitor(Judged(env, rank, of))
+
+
+def make_envs(recipe: Recipe, count: int) -> VecNormalize:
+    """`count` environments, each in a process of its own unless there is but one."""
+    makers: list[Callable[[], gym.Env[Any, Any]]] = [
+        partial(make_env, recipe.task, rank, count) for rank in range(count)
+    ]
+    envs: VecEnv
+    if count == 1:
+        envs = DummyVecEnv(makers)
+    else:
+        with single_threaded():
+            envs = SubprocVecEnv(makers)
+    seen = recipe.observation
+    return VecNormalize(envs, norm_reward=False, clip_obs=seen.clip, epsilon=seen.floor**2)
+
+
+def judge(
+    envs: VecNormalize, policy: Policy, scenes: Sequence[Mapping[str, Any] | None]
+) -> list[dict[str, Any]]:
+    """Outcomes in the order of the scenes; the episodes under way are lost."""
+    shares = envs.env_method("play", policy, scenes)
+    return [shares[k % envs.num_envs][k // envs.num_envs] for k in range(len(scenes))]
+
+
+def seed_of(*numbers: int) -> int:
+    """One seed from several, below 2^31."""
+    return int(np.random.SeedSequence(numbers).generate_state(1)[0] >> 1)

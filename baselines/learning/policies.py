@@ -1,0 +1,216 @@
+"""Trained policies as plain tensors and JSON: a folder with policy.json and policy.safetensors.
+
+`load_policy` rebuilds the network in NumPy. Loading reads numbers and texts and never executes code; what is
+corrupted or foreign is refused with a `PolicyError` of one line.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.jobs.files import write_json, written_whole
+from retract_env.errors import ConfigError
+from retract_env.task import actions, task
+
+Floats = NDArray[np.float32]
+
+FORMAT = "retract-policy-1"
+JSON, TENSORS = "policy.json", "policy.safetensors"
+TRAINED = Path(__file__).parent / "trained"
+"""Policies that come with the package, a folder each."""
+MOST_BYTES = 64 * 2**20
+"""A file larger than this is no policy of ours."""
+FIELDS = ("format", "name", "layers", "activation", "output", "clip", "tensors", "env", "training", "scores")
+
+
+class PolicyError(ConfigError):
+    """A policy that cannot be used; the message is one line."""
+
+
+@dataclass(frozen=True, eq=False)
+class Policy:
+    """A multilayer perceptron from the state observation to an action; plays in `rollout`."""
+
+    name: str
+    """The method's: policies that differ by their seed alone share it."""
+    weights: tuple[Floats, ...]
+    """(out, in) of each layer"""
+    biases: tuple[Floats, ...]
+    """(out,)"""
+    mean: Floats
+    """(107,) of the observations"""
+    deviation: Floats
+    """(107,) likewise, positive"""
+    clip: float
+    """normalised observations are clipped to this"""
+    activation: Literal["tanh", "relu"]
+    output: Literal["clip", "tanh"]
+    """what brings the last layer's numbers into [-1, 1]"""
+    env: Mapping[str, Any] = field(default_factory=dict)
+    """id and kwargs of the environment that it was trained in"""
+    training: Mapping[str, Any] = field(default_factory=dict)
+    """command, recipe, seed, steps"""
+    scores: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        sizes = [w.shape for w in self.weights]
+        ends = [self.mean.shape[0], *(b.shape[0] for b in self.biases)]
+        if sizes != [(ends[k + 1], ends[k]) for k in range(len(sizes))] or not sizes:
+            raise PolicyError(f"policy: layers of shapes {sizes} do not follow each other")
+        if ends[0] != task.SIZE or ends[-1] != actions.SIZE:
+            raise PolicyError(
+                f"policy: from {ends[0]} to {ends[-1]} numbers, allowed {task.SIZE} to {actions.SIZE}"
+            )
+        if not all(np.isfinite(t).all() for t in self.tensors().values()) or not (self.deviation > 0).all():
+            raise PolicyError("policy: weights, or the deviations of its observations, are no numbers")
+
+    def __call__(self, observation: NDArray[Any]) -> Floats:
+        """(3,) action in [-1, 1]. Raises ValueError for what is not the task's state vector."""
+        if observation.shape != (task.SIZE,):
+            raise ValueError(f"observation has shape {observation.shape}, allowed that of obs='state'")
+        x = np.clip((observation - self.mean) / self.deviation, -self.clip, self.clip)
+        for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
+            x = weight @ x + bias
+            x = np.tanh(x) if self.activation == "tanh" else np.maximum(x, 0)
+        x = self.weights[-1] @ x + self.biases[-1]
+        return (np.tanh(x) if self.output == "tanh" else np.clip(x, -1, 1)).astype(np.float32)
+
+    def tensors(self) -> dict[str, Floats]:
+        """All numbers by name, as they are kept."""
+        named = {"mean": self.mean, "deviation": self.deviation}
+        for k, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            named |= {f"layer{k}.weight": weight, f"layer{k}.bias": bias}
+        return named
+
+
+def save_policy(policy: Policy, folder: Path) -> None:
+    """Write both files or neither; the folder is made. Raises OSError."""
+    from safetensors.numpy import save
+
+    folder.mkdir(parents=True, exist_ok=True)
+    data = save({name: np.ascontiguousarray(t) for name, t in policy.tensors().items()})
+    about = {
+        "format": FORMAT,
+        "name": policy.name,
+        "layers": [list(w.shape[::-1]) for w in policy.weights],
+        "activation": policy.activation,
+        "output": policy.output,
+        "clip": policy.clip,
+        "tensors": hashlib.sha256(data).hexdigest(),
+        "env": policy.env,
+        "training": policy.training,
+        "scores": policy.scores,
+    }
+    with ExitStack() as both:
+        both.enter_context(written_whole(folder / TENSORS)).write_bytes(data)
+        write_json(both.enter_context(written_whole(folder / JSON)), about)
+
+
+def shipped() -> list[str]:
+    """Names of the policies that come with the package; `load_policy` takes them for folders."""
+    return sorted(file.parent.name for file in TRAINED.glob(f"*/{JSON}"))
+
+
+def policy_folder(given: str | Path) -> Path:
+    """Where a policy lies: the folder given, or that of the shipped one of that name where there is none."""
+    folder = Path(given)
+    return TRAINED / folder if not folder.exists() and str(given) in shipped() else folder
+
+
+def load_policy(folder: str | Path) -> Policy:
+    """The policy in a folder that `save_policy` wrote, or a shipped one by its name.
+
+    Raises PolicyError, naming the file.
+    """
+    folder = policy_folder(folder)
+    about = _read_about(folder / JSON)
+    data = _bytes(folder / TENSORS)
+    if hashlib.sha256(data).hexdigest() != about["tensors"]:
+        raise PolicyError(f"{folder / TENSORS}: not the tensors that {JSON} was written with")
+    tensors = _read_tensors(folder / TENSORS, data, len(about["layers"]))
+    try:
+        return Policy(
+            name=about["name"],
+            weights=tuple(tensors[f"layer{k}.weight"] for k in range(len(about["layers"]))),
+            biases=tuple(tensors[f"layer{k}.bias"] for k in range(len(about["layers"]))),
+            mean=tensors["mean"],
+            deviation=tensors["deviation"],
+            clip=about["clip"],
+            activation=about["activation"],
+            output=about["output"],
+            env=about["env"],
+            training=about["training"],
+            scores=about["scores"],
+        )
+    except PolicyError as error:
+        raise PolicyError(f"{folder}: {error}") from None
+
+
+def _bytes(file: Path) -> bytes:
+    try:
+        if file.stat().st_size > MOST_BYTES:
+            raise PolicyError(f"{file}: larger than {MOST_BYTES // 2**20} MiB, which no policy is")
+        return file.read_bytes()
+    except OSError as error:
+        raise PolicyError(f"{file}: {(error.strerror or str(error)).lower()}") from None
+
+
+def _read_about(file: Path) -> dict[str, Any]:
+    try:
+        about = json.loads(_bytes(file))
+    except (ValueError, RecursionError) as error:
+        if isinstance(error, PolicyError):
+            raise
+        raise PolicyError(f"{file}: not readable as JSON") from None
+    if not isinstance(about, dict) or about.get("format") != FORMAT:
+        raise PolicyError(f"{file}: not a policy of the format {FORMAT}")
+    if set(about) != set(FIELDS):
+        raise PolicyError(f"{file}: fields {', '.join(sorted(about))}, allowed {', '.join(FIELDS)}")
+
+    def known(value: object, allowed: Sequence[str]) -> bool:
+        return isinstance(value, str) and value in allowed
+
+    number = isinstance(about["clip"], int | float) and not isinstance(about["clip"], bool)
+    layers = about["layers"]
+    for name, sound in (
+        ("name", isinstance(about["name"], str) and about["name"].isprintable() and about["name"] != ""),
+        ("layers", isinstance(layers, list) and 0 < len(layers) <= 100),
+        ("activation", known(about["activation"], ("tanh", "relu"))),
+        ("output", known(about["output"], ("clip", "tanh"))),
+        ("clip", number and 0 < about["clip"] < float("inf")),
+        *((key, isinstance(about[key], dict)) for key in ("env", "training", "scores")),
+    ):
+        if not sound:
+            raise PolicyError(f"{file}: {name} = {str(about[name])[:60]}, which no policy has")
+    return about
+
+
+def _read_tensors(file: Path, data: bytes, layers: int) -> dict[str, Floats]:
+    from safetensors import SafetensorError
+    from safetensors.numpy import load
+
+    try:
+        tensors = load(data)
+    except (SafetensorError, ValueError, TypeError, KeyError) as error:
+        raise PolicyError(f"{file}: not readable as safetensors: {error}") from None
+    wanted = {"mean", "deviation"} | {
+        f"layer{k}.{part}" for k in range(layers) for part in ("weight", "bias")
+    }
+    if set(tensors) != wanted:
+        raise PolicyError(
+            f"{file}: tensors {', '.join(sorted(tensors))}, allowed {', '.join(sorted(wanted))}"
+        )
+    for name, tensor in tensors.items():
+        dimensions = 2 if name.endswith(".weight") else 1
+        if tensor.dtype != np.float32 or tensor.ndim != dimensions:
+            raise PolicyError(f"{file}: {name} is {tensor.dtype} of {tensor.ndim} dimensions, not ours")
+    return tensors

@@ -1,0 +1,1 @@
+"""The paper's figures and our own studies, repeated by `retract reproduce`."""

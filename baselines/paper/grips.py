@@ -1,0 +1,130 @@
+"""A result of our own: what the lightest grip that holds saves, over grasps and lines of sight."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from numpy.typing import NDArray
+
+from baselines.paper.maps import draw_map
+from baselines.paper.report import Claim, Report, Study, new_figure, paper_scene, percent, with_line
+from baselines.paper.tasks import Row, Task, light_grip, retraction
+from baselines.pictures.drawing import MM, strain_map
+from planners.light_grip import MARGIN
+from planners.proposals import stable_grasps
+
+Array = NDArray[np.float64]
+
+POSITIONS = (0.55, 0.45, 0.35, 0.25, 0.15)
+"""of B, from the fixed end, as parts of the length"""
+SLOPE = 45.0
+"""degrees"""
+SCENES = {"homogeneous": "homogeneous", "ten_veins": "ten veins"}
+PATHS = {"ctc": "CTC", "circular": "circular"}
+GRIPS = {"eq5": "Eq. 5", "light": "lightest that holds"}
+
+
+def grip_tasks(scenes: Sequence[str], positions: Sequence[float]) -> list[Task]:
+    """Every stable grasp, line and path, gripped by Eq. 5 and as lightly as holds."""
+    tasks = []
+    for name in scenes:
+        scene = paper_scene(name)
+        for position in positions:
+            lined = with_line(scene, position, math.radians(SLOPE)).dump()
+            for grasp in sorted(stable_grasps(scene), key=lambda grasp: grasp.x):
+                for path in PATHS:
+                    for grip, make in (("eq5", retraction), ("light", light_grip)):
+                        label = {
+                            "scene": name,
+                            "position": position,
+                            "x": grasp.x,
+                            "path": path,
+                            "grip": grip,
+                        }
+                        tasks.append(make(lined, grasp.x, grasp.compression, path, label))
+    return tasks
+
+
+def strain_map_of(rows: Sequence[Row], scene: str, path: str, grip: str) -> Array:
+    """(positions, grasps) eps_max, nan where not certified; positions towards the fixed end, grasps from the
+    free."""
+    mine = [r for r in rows if (r["scene"], r["path"], r["grip"]) == (scene, path, grip)]
+    places = sorted({r["x"] for r in mine})
+    positions = sorted({r["position"] for r in mine}, reverse=True)
+    found = {(r["position"], r["x"]): r["max_strain"] if r["reason"] == "ok" else np.nan for r in mine}
+    return np.array([[found[p, x] for x in places] for p in positions], float)
+
+
+def _tasks() -> list[Task]:
+    return grip_tasks(list(SCENES), POSITIONS)
+
+
+def _report(rows: Sequence[Row]) -> Report:
+    scenes = [name for name in SCENES if any(row["scene"] == name for row in rows)]
+    figure = new_figure(15.0, 2.9 * len(scenes) + 0.6)
+    panels = figure.subplots(len(scenes), 4, squeeze=False, sharey=True)
+    norm = Normalize(0.0, 0.5)
+    claims = []
+    for line, name in enumerate(scenes):
+        places = sorted({row["x"] for row in rows if row["scene"] == name})
+        positions = sorted({row["position"] for row in rows}, reverse=True)
+        columns, lines = [f"{-x * MM:.0f}" for x in places], [percent(p) for p in positions]
+        maps = {(p, g): strain_map_of(rows, name, p, g) for p in PATHS for g in GRIPS}
+        for axes, ((path, grip), values) in zip(panels[line], maps.items(), strict=True):
+            draw_map(axes, values, columns, lines, strain_map(), norm, ".2f", size=7.0)
+            axes.set_title(f"{SCENES[name]}, {PATHS[path]}, {GRIPS[grip]}")
+            axes.set_xlabel("grasp, mm from the fixed end")
+        panels[line, 0].set_ylabel("line of sight, from the fixed end")
+        claims += _claims(SCENES[name], positions, maps)
+    figure.colorbar(ScalarMappable(norm, strain_map()), ax=panels, label="strain, up to its limit", pad=0.01)
+    return Report(
+        "The lightest grip that holds",
+        "Eq. 5 closes the jaws by an energy balance in which friction has no part. Here every stable grasp "
+        f"is closed only until the friction that the retraction needs is {percent(MARGIN)} below its limit "
+        "of 0.5 (planner `light_grip`), and compared with Eq. 5 at equal limits, for lines of sight of "
+        f"{SLOPE:.0f}° and for CTC and circular paths. Hatched: not certified. Where Eq. 5 slips, the "
+        "lightest grip that holds is the firmer one.",
+        rows,
+        figure,
+        claims,
+        [
+            "Both grips meet the same friction limit; the lightest one uses it up, so that there paths are "
+            "compared at equal security."
+        ],
+    )
+
+
+def _claims(scene: str, positions: Sequence[float], maps: dict[tuple[str, str], Array]) -> list[Claim]:
+    def least(path: str, grip: str) -> Array:
+        values = maps[path, grip]
+        return np.min(np.where(np.isnan(values), np.inf, values), axis=1)
+
+    before, after = least("ctc", "eq5"), least("ctc", "light")
+    circular = least("circular", "light")
+    told = ", ".join(
+        f"{percent(p)}: {b:.3f} to {a:.3f}" for p, b, a in zip(positions, before, after, strict=True)
+    )
+    rival = ", ".join(
+        f"{percent(p)}: {a:.3f} and {c:.3f}" for p, a, c in zip(positions, after, circular, strict=True)
+    )
+    both = ~np.isnan(maps["ctc", "light"]) & ~np.isnan(maps["circular", "light"])
+    lower = int((maps["ctc", "light"][both] < maps["circular", "light"][both]).sum())
+    return [
+        Claim(
+            f"{scene}: the least strain of CTC falls, with the line at ...",
+            told,
+            "yes" if np.all(after < before) else "in part" if np.any(after < before) else "no",
+        ),
+        Claim(
+            f"{scene}: at equal security CTC strains less than circular (least strain of each)",
+            f"{rival}; CTC lower for {lower} of {int(both.sum())} grasps and lines that both certify",
+            "yes" if np.all(after < circular) else "in part" if np.any(after < circular) else "no",
+        ),
+    ]
+
+
+STUDY = Study("light_grip", "the lightest grip that holds", _tasks, _report)

@@ -1,0 +1,243 @@
+"""Figs. 8 and 11: strain of four paths from the same grasps, on homogeneous tissue and on ten veins. Sec.
+V-B."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import product
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from baselines.paper.report import (
+    EQUAL,
+    Agreement,
+    Claim,
+    Report,
+    Study,
+    new_figure,
+    number,
+    paper_scene,
+    percent,
+)
+from baselines.paper.tasks import Row, Task, retraction
+from baselines.pictures.drawing import MM
+from planners.proposals import PATHS, stable_grasps
+from retract_env.drawing.palette import GREY, INK, LIMIT, SIGHT, VALUE
+from retract_env.scene import Scene
+
+FAILED = 0.5
+"""Where the paper draws what fails."""
+LOOKS = {
+    "ctc": ("CTC", VALUE, "o"),
+    "circular": ("circular", LIMIT, "s"),
+    "linear60": ("linear, 60°", GREY, "v"),
+    "linear75": ("linear, 75°", SIGHT, "^"),
+}
+
+
+def path_tasks(scenes: Sequence[Scene]) -> list[Task]:
+    """Every stable grasp of every scene, free end first, with every path."""
+    tasks = []
+    for scene in scenes:
+        veins = [np.mean(vein.outline, axis=0)[0] for vein in scene.tissue.veins]
+        for grasp in sorted(stable_grasps(scene), key=lambda grasp: grasp.x):
+            for path in PATHS:
+                label = {
+                    "scene": scene.name,
+                    "target": scene.line_of_sight.target[0],
+                    "x": grasp.x,
+                    "veins_beyond": sum(x < grasp.x for x in veins),
+                    "path": path,
+                }
+                tasks.append(retraction(scene.dump(), grasp.x, grasp.compression, path, label))
+    return tasks
+
+
+def strains(rows: Sequence[Row], scene: str) -> tuple[list[float], dict[str, list[float]]]:
+    """Grasps, m, and for each path the strain of each grasp; nan where the retraction is not certified."""
+    places = sorted({row["x"] for row in rows if row["scene"] == scene})
+    found = {
+        (row["path"], row["x"]): number(row["max_strain"]) if row["reason"] == "ok" else np.nan
+        for row in rows
+        if row["scene"] == scene
+    }
+    return places, {path: [found[path, x] for x in places] for path in PATHS}
+
+
+def better(a: float, b: float) -> bool:
+    """Whether strain a is lower than b by more than what they are known to; what fails is worst."""
+    return bool(np.nan_to_num(a, nan=np.inf) * (1 + EQUAL) < np.nan_to_num(b, nan=np.inf))
+
+
+def draw_strains(axes: Axes, at: Sequence[float], curves: dict[str, list[float]]) -> None:
+    """Strain of each path over the grasps; failures hollow, at the top."""
+    axes.axhline(FAILED, color=INK, linewidth=0.8, linestyle=(0, (4, 3)), zorder=1)
+    for (path, values), shift in zip(curves.items(), np.linspace(-0.15, 0.15, len(curves)), strict=True):
+        name, colour, marker = LOOKS[path]
+        known = np.array(values)
+        step = float(np.min(np.diff(at))) if len(at) > 1 else 1.0
+        x = np.array(at) + shift * step
+        look: dict[str, Any] = {"color": colour, "marker": marker, "markersize": 5.5, "linewidth": 1.4}
+        axes.plot(x, known, label=name, zorder=3, **look)
+        failed = np.isnan(known)
+        axes.plot(
+            x[failed], np.full(failed.sum(), FAILED), linestyle="none", marker=marker, markersize=5.5,
+            markerfacecolor="white", markeredgecolor=colour, zorder=3,
+        )  # fmt: skip
+    axes.set_ylim(0.2, 0.53)
+    axes.set_ylabel("strain eps_max")
+
+
+def _fig8_tasks() -> list[Task]:
+    return path_tasks([paper_scene("homogeneous"), paper_scene("homogeneous_near")])
+
+
+def _fig8_report(rows: Sequence[Row]) -> Report:
+    figure = new_figure(10.0, 4.0)
+    panels = figure.subplots(1, 2, sharey=True)
+    titles = {"homogeneous": "(a) line of sight at 25 %", "homogeneous_near": "(b) line of sight at 15 %"}
+    for axes, (name, title) in zip(panels, titles.items(), strict=True):
+        places, curves = strains(rows, name)
+        draw_strains(axes, [x * MM for x in places], curves)
+        axes.set_title(f"{title} of the length from the fixed end, 45°")
+        axes.set_xlabel("grasp, mm from the fixed end")
+    panels[1].set_ylabel("")
+    panels[0].text(panels[0].get_xlim()[0], 0.505, " not certified", fontsize=8.5, va="bottom")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
+
+    claims = []
+    places, curves = strains(rows, "homogeneous")
+    worse = _beaten(places, curves)
+    certified = sum(not np.isnan(v) for v in curves["ctc"])
+    claims.append(
+        Claim(
+            "(a) CTC strains less than circular and linear paths from every grasp",
+            f"of {len(places)} grasps CTC is certified from {certified}; {_exceptions(worse, len(places))}",
+            "yes" if not worse else "in part" if len(worse) <= len(places) / 3 else "no",
+        )
+    )
+    claims.append(_near_claim(rows))
+    notes = [_least(rows, list(titles)), _failures(rows)]
+    return Report(
+        "Fig. 8: paths compared on homogeneous tissue",
+        "Ten grasps along a homogeneous flap, compressed by Eq. 5, are retracted along four paths until "
+        "the target is in view, for lines of sight of 45° that meet the bed at 25 % and 15 % of the length "
+        f"from the fixed end. Strains that differ by less than {percent(EQUAL)} count as equal, as the "
+        "finite elements know them no better. What is not certified is drawn hollow at 0.5.",
+        rows,
+        figure,
+        claims,
+        notes,
+    )
+
+
+def _near_claim(rows: Sequence[Row]) -> Claim:
+    places, curves = strains(rows, "homogeneous_near")
+    free = [i for i, x in enumerate(places) if x < np.mean(places)]
+    winners = [i for i in free if better(curves["circular"][i], curves["ctc"][i])]
+    listed = ", ".join(
+        f"{places[i] * MM:.1f} mm ({curves['circular'][i]:.3f}, CTC {_text(curves['ctc'][i])})"
+        for i in winners
+    )
+    return Claim(
+        "(b) near the fixed end, circular is slightly better from some grasps near the free end",
+        f"circular is better from {len(winners)} of the {len(free)} grasps on the free half: "
+        f"{listed or 'none'}",
+        "yes" if winners else "no",
+    )
+
+
+def _beaten(places: Sequence[float], curves: dict[str, list[float]]) -> list[str]:
+    """Grasps from which another path is better than CTC."""
+    found = []
+    for i, x in enumerate(places):
+        rivals = [LOOKS[p][0] for p in curves if p != "ctc" and better(curves[p][i], curves["ctc"][i])]
+        if rivals:
+            found.append(f"{x * MM:.1f} mm ({' and '.join(rivals)})")
+    return found
+
+
+def _exceptions(worse: Sequence[str], of: int) -> str:
+    return f"another path is better from {len(worse)} of {of}" + (f": {', '.join(worse)}" if worse else "")
+
+
+def _text(strain: float) -> str:
+    return "not certified" if np.isnan(strain) else f"{strain:.3f}"
+
+
+def _least(rows: Sequence[Row], scenes: Sequence[str]) -> str:
+    """A table of the least strain of each path."""
+    lines = ["| least strain of | (a) | (b) |", "| --- | --- | --- |"]
+    for path, (name, *_) in LOOKS.items():
+        cells = []
+        for scene in scenes:
+            places, curves = strains(rows, scene)
+            values = curves[path]
+            known = not np.all(np.isnan(values))
+            cells.append(
+                f"{np.nanmin(values):.3f} at {places[int(np.nanargmin(values))] * MM:.1f} mm"
+                if known
+                else "-"
+            )
+        lines.append(f"| {name} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def _failures(rows: Sequence[Row]) -> str:
+    words = {"slip": "needs too much friction", "strain": "too much strain", "not_visible": "stays hidden"}
+    parts = []
+    for path, reason in product(PATHS, sorted({row["reason"] for row in rows} - {"ok"})):
+        count = sum(row["path"] == path and row["reason"] == reason for row in rows)
+        if count:
+            parts.append(f"{LOOKS[path][0]}: {count} {words.get(reason, reason)}")
+    return "Not certified: " + ("; ".join(parts) or "none") + "."
+
+
+def _fig11_tasks() -> list[Task]:
+    return path_tasks([paper_scene("ten_veins")])
+
+
+def _fig11_report(rows: Sequence[Row]) -> Report:
+    figure = new_figure(8.0, 4.2)
+    axes = figure.subplots()
+    places, curves = strains(rows, "ten_veins")
+    beyond = {row["x"]: row["veins_beyond"] for row in rows}
+    draw_strains(axes, list(range(len(places))), curves)
+    axes.set_xticks(range(len(places)), [f"{beyond[x]}\n{x * MM:.1f}" for x in places])
+    axes.set_xlabel("veins between grasp and free end; grasp, mm from the fixed end")
+    axes.set_title("ten veins, grasps between them")
+    axes.text(axes.get_xlim()[0], 0.505, " not certified", fontsize=8.5, va="bottom")
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
+
+    worse = _beaten(places, curves)
+    best = {p: places[int(np.nanargmin(v))] for p, v in curves.items() if not np.all(np.isnan(v))}
+    usual: Agreement = "yes" if len(worse) < len(places) / 2 else "no"
+    same = best.get("ctc") is not None and best.get("ctc") == best.get("circular")
+    told = "; ".join(
+        f"{LOOKS[p][0]} {np.nanmin(curves[p]):.3f} with {beyond[x]} veins beyond it" for p, x in best.items()
+    )
+    claims = [
+        Claim("CTC usually strains least, with exceptions", _exceptions(worse, len(places)), usual),
+        Claim(
+            "CTC and circular find the same best grasp, between veins 3 and 4",
+            f"best: {told}",
+            "yes" if same and beyond[best["ctc"]] == 3 else "in part" if same else "no",
+        ),
+    ]
+    return Report(
+        "Fig. 11: paths compared on ten veins",
+        "Every stable grasp of the flap with ten veins (the paper's grasps between veins, and one at each "
+        "end), compressed by Eq. 5, is retracted along four paths until the target is in view; line of "
+        f"sight of 45° at 25 % of the length. Strains that differ by less than {percent(EQUAL)} count as "
+        "equal. The veins are drawn after Fig. 10, whose coordinates are not published.",
+        rows,
+        figure,
+        claims,
+        [_failures(rows)],
+    )
+
+
+FIG8 = Study("fig8", "four paths on homogeneous tissue", _fig8_tasks, _fig8_report)
+FIG11 = Study("fig11", "four paths on ten veins", _fig11_tasks, _fig11_report)

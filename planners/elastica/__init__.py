@@ -1,0 +1,1 @@
+"""`elastica`: a nonlinear program over a rod, its optimum corrected on finite elements."""

@@ -1,0 +1,1 @@
+"""`fem_gradient`: grip and path of least strain by the derivatives of the finite elements."""

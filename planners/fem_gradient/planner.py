@@ -1,0 +1,388 @@
+"""Grip and path of least strain, found on the finite elements with their derivatives: "fem_gradient".
+
+`Program` writes the optimisation at one place of the grasp down: unknown are how far the flap is turned, how
+it is drawn out, by how much the jaws turn with it and by how much they are closed, the last three along the
+path; the greatest eps_1% of the poses is to fall, while both jaws stay in their friction cones and the last
+pose exposes the target. Everything is linearised about the equilibria of the poses (`sensitivity`), but for
+the two maxima that strain is made of: over the poses, and over what the worst 1 % of the volume might
+be. Cutting planes and HiGHS find the best step within a trust region, and it is taken back unless the finite
+elements agree (Fletcher's method for composite functions). Where eps_1% has kinks, as on a coarse mesh,
+quasi-Newton methods such as SLSQP stall.
+
+The place of the grasp is chosen from a few around the one that `planners.eased` finds. It matters little
+then: whoever may choose grip and path loses two per cent by grasping a tenth of the flap aside.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linprog
+
+from planners import eased, paths
+from planners.base import NoPlan, Plan
+from planners.certify import Trial
+from planners.fem_gradient.sensitivity import LinearStrain, Response, Sensitivity
+from planners.search import OnUpdate, cores, generate_and_test
+from retract_env.errors import Diverged, MeshError
+from retract_env.grasp import Grasp, JawPath
+from retract_env.mesh import SLIVER
+from retract_env.objectives import WORST_FRACTION, worst_mean
+from retract_env.physics.fem import FemPhysics
+from retract_env.scene import Scene
+
+Array = NDArray[np.float64]
+
+KIND = "fem_gradient"
+TIMES = np.array([0, 1, 2, 4, 7, 10, 14, 18, 21, 24]) / 24
+"""Poses looked at, along the path from squeezed to exposed; the flap leaves its bed in the first ones."""
+OVERRUN = 1.25
+"""Where the path ends: it goes on past exposure, should it come late."""
+
+TURN, STRETCH, PART, GRIP = 0, slice(1, 4), slice(4, 7), slice(7, 11)
+"""Unknowns (11,): turn of the flap at the end, rad, and the coefficients, of Bernstein's polynomials in time,
+of the stretch, which begins at none, of the part of the turn by which the jaws turn, and of the compression
+over the height."""
+UNITS = np.array([0.1, *[0.01] * 3, *[0.1] * 3, *[0.01] * 4])
+"""Changes of the unknowns that matter about alike."""
+LOW = np.array([0.1, *[-0.1] * 3, *[0.0] * 3, *[0.005] * 4])
+HIGH = np.array([paths.MOST_TURN, *[0.3] * 3, *[1.5] * 3, *[0.45] * 4])
+ROUGHNESS = np.zeros((7, 11))
+"""Differences that straight paths do not have: of stretches (second), parts and compressions (first)."""
+ROUGHNESS[[0, 0, 1, 1, 1], [1, 2, 1, 2, 3]] = -2, 1, 1, -2, 1
+for _row, _first in enumerate((4, 5, 7, 8, 9), start=2):
+    ROUGHNESS[_row, [_first, _first + 1]] = -1, 1
+
+STRAIN = 0.05
+"""Strain that counts as 1 in what is minimised; each unit of roughness counts as SMOOTH, of violation as
+PENALTY."""
+SMOOTH, PENALTY = 2e-3, 10.0
+CLEAR = 1e-3
+"""Clearance asked for at the end, over the flap's length."""
+CLEARANCE = 0.1
+"""Clearance over the length that counts as a violation of 1."""
+RESERVE, ENOUGH = 0.93, 0.95
+"""Part of the friction limit that the program uses, and that the certified path may need: between poses it
+needs a little more."""
+KEPT = 8
+"""Points that are strained most are kept, of this many times the volume that counts."""
+IN_QUESTION = 0.6
+"""Poses strained less than this part of the greatest cannot become the worst in one step."""
+LOWEST = 40
+"""Nodes whose clearance is looked at."""
+GAIN = 4e-3
+"""The program is solved once the linear one promises less than this."""
+STEPS = 8
+"""at most"""
+RADIUS, SMALLEST_RADIUS = 2.0, 0.02
+"""of the trust region, in UNITS"""
+CUTS, GAP = 40, 5e-4
+"""Rounds of cutting planes, at most, and how far from the best step they may end."""
+HOLDS = 0.02
+"""Violation, in parts of the greatest jaw force, with which a path still counts as one that holds."""
+
+ASIDE = (-0.05, 0.0, 0.05)
+"""Where the grasp is tried, over the length, from where `eased` has it."""
+SEARCHED_ON = "coarse"
+POLISHED = 1
+"""Best places of the coarse mesh that are improved further on the mesh that certifies; a second one costs as
+much again and gains less than 1 %."""
+CORRECTIONS = 2
+"""Times that a path which needs too much friction is improved with less friction to use."""
+
+
+def motion(scene: Scene, x: float, unknowns: Array, times: Array) -> Array:
+    """Poses (n, 4) at times (n,), 0 squeezed, 1 exposed, for a grasp at x, m, and unknowns (11,).
+
+    The jaws' midpoint is drawn away from the fixed end's middle by the stretch, from where it is on the CTC
+    path. Past time 1 the flap is turned on, and all else stays.
+    """
+    height = scene.tissue.height
+    t = np.minimum(times, 1.0)
+    square = np.stack([(1 - t) ** 2, 2 * t * (1 - t), t**2], axis=-1)
+    cubic = np.stack([(1 - t) ** 3, 3 * t * (1 - t) ** 2, 3 * t**2 * (1 - t), t**3], axis=-1)
+    turn, fixed = unknowns[TURN] * times, np.array([0.0, height / 2])
+    arm = paths.ctc_motion(turn, -x, height)[:, :2] - fixed
+    middle = fixed + (1 + cubic[:, 1:] @ unknowns[STRETCH])[:, None] * arm
+    compression = cubic @ unknowns[GRIP]
+    return np.column_stack([middle, -(square @ unknowns[PART]) * turn, height * (1 - compression)])
+
+
+def motion_slope(scene: Scene, x: float, unknowns: Array, times: Array) -> Array:
+    """(n, 4, 11): derivatives of `motion` by unknowns over UNITS, by central differences."""
+    h = 1e-4
+    steps = h * np.diag(UNITS)
+    sides = [[motion(scene, x, unknowns + s * step, times) for step in steps] for s in (1, -1)]
+    return np.moveaxis((np.array(sides[0]) - np.array(sides[1])) / (2 * h), 0, -1)
+
+
+def jaw_path(scene: Scene, x: float, unknowns: Array) -> tuple[Grasp, JawPath]:
+    """Grasp and path, of as many increments as the paper's."""
+    poses = motion(scene, x, unknowns, np.arange(round(OVERRUN * paths.INCREMENTS) + 1) / paths.INCREMENTS)
+    height = scene.tissue.height
+    rest = np.array([[x, height / 2, 0.0, height]])
+    return Grasp(x, height - poses[0, 3]), JawPath.from_poses(np.concatenate([rest, poses]), KIND)
+
+
+@dataclass(frozen=True)
+class Standing:
+    """What the poses of one path amount to."""
+
+    strain: Array
+    """(n,) eps_1% over STRAIN"""
+    slack: Array
+    """(m,) of the constraints, at least 0 where they hold"""
+
+    @property
+    def violation(self) -> float:
+        return max(0.0, -float(self.slack.min()))
+
+
+class Program:
+    """Least strain at one place of the grasp, on one mesh."""
+
+    def __init__(self, scene: Scene, x: float, unknowns: Array, resolution: str):
+        """unknowns: (11,) to begin with, whose path is followed once. Raises Diverged, MeshError."""
+        self.scene, self.x, self.unknowns = scene, x, np.clip(unknowns, LOW, HIGH)
+        self.friction = RESERVE * scene.limits.friction
+        physics = FemPhysics(scene, x, resolution)
+        self.sensitivity = Sensitivity(physics)
+        poses = motion(scene, x, self.unknowns, TIMES)
+        open_jaws = np.array([x, scene.tissue.height / 2, 0.0, scene.tissue.height])
+        physics.reset()
+        physics.move_to((open_jaws + poses[0]) / 2)
+        self.responses: list[Response] = []
+        for pose, at in zip(poses, TIMES.tolist(), strict=True):
+            physics.move_to(pose, 1.0 + at)
+            self.responses.append(self.sensitivity.settled(pose, physics.displacements))
+            if at == 0.0:
+                physics.turn()
+        self._force = max(float(r.forces[:, 1].max()) for r in self.responses)
+        self.evaluations = 1
+
+    @property
+    def max_strain(self) -> float:
+        """Greatest eps_1% of the poses."""
+        return STRAIN * float(self.standing(self.responses).strain.max())
+
+    def standing(self, responses: Sequence[Response]) -> Standing:
+        volumes = self.sensitivity.volumes
+        strain = np.array([worst_mean(r.strains, volumes) for r in responses]) / STRAIN
+        cones = np.concatenate([(self._cones @ r.forces[..., None]).ravel() for r in responses])
+        return Standing(strain, np.append(cones, self._above(responses[-1].clearances.min())))
+
+    @property
+    def _cones(self) -> Array:
+        """(2, 2): times force along and pressing, what either edge of the friction cone leaves."""
+        return np.array([[-1.0, self.friction], [1.0, self.friction]]) / self._force
+
+    def _above(self, clearances: Array) -> Array:
+        return (clearances / self.scene.tissue.length - CLEAR) / CLEARANCE
+
+    def solve(self) -> None:
+        """Improve the unknowns, step by step, until no step promises to gain more."""
+        radius = RADIUS
+        for _ in range(STEPS):
+            step, promised = self._step(radius)
+            now = self._merit(self.unknowns, self.responses)
+            if now - promised < GAIN or radius < SMALLEST_RADIUS:
+                return
+            trial = np.clip(self.unknowns + UNITS * step, LOW, HIGH)
+            poses = motion(self.scene, self.x, trial, TIMES)
+            self.evaluations += 1
+            try:
+                responses = [self.sensitivity.at(p, r) for p, r in zip(poses, self.responses, strict=True)]
+            except Diverged:
+                radius /= 4
+                continue
+            agreement = (now - self._merit(trial, responses)) / (now - promised)
+            if agreement > 0.1:
+                self.unknowns, self.responses = trial, responses
+            if agreement > 0.75:
+                radius *= 2
+            elif agreement < 0.25:
+                radius /= 3
+
+    def _merit(self, unknowns: Array, responses: Sequence[Response]) -> float:
+        standing = self.standing(responses)
+        rough = float(np.abs(ROUGHNESS @ (unknowns / UNITS)).sum())
+        return float(standing.strain.max()) + PENALTY * standing.violation + SMOOTH * rough
+
+    def _step(self, radius: float) -> tuple[Array, float]:
+        """Best step (11,), in UNITS, of at most `radius`, and the merit that it promises.
+
+        eps_1% is the greatest of many weighted means of strain. Of each pose, the linear program knows those
+        that were greatest where its earlier answers led, until no other is greater by more than GAP. Its
+        columns: step, greatest strain, greatest violation, roughness.
+        """
+        slopes = motion_slope(self.scene, self.x, self.unknowns, TIMES)
+        poses = self._strained(slopes)
+        slack, slack_slope = self._constraints(slopes)
+        rough, lines = ROUGHNESS @ (self.unknowns / UNITS), len(ROUGHNESS)
+        nothing = np.zeros((len(slack), lines))
+        constraints = np.hstack([-slack_slope, np.zeros((len(slack), 1)), -np.ones((len(slack), 1)), nothing])
+        smoothness = [np.hstack([s * ROUGHNESS, np.zeros((lines, 2)), -np.eye(lines)]) for s in (1, -1)]
+        rows, bounds = [constraints, *smoothness], [slack, -rough, rough]
+        cost = np.array([*[0.0] * 11, 1.0, PENALTY, *[SMOOTH] * lines])
+        low, high = np.zeros(len(cost)), np.full(len(cost), np.inf)
+        low[:11] = np.maximum(-radius, (LOW - self.unknowns) / UNITS)
+        high[:11] = np.minimum(radius, (HIGH - self.unknowns) / UNITS)
+        best, best_step, at = math.inf, np.zeros(11), np.zeros(len(cost))
+        for _ in range(CUTS):
+            means = [pose.worst(at[:11]) for pose in poses]
+            greatest = max(value for value, _, _ in means)
+            promised = greatest + float(cost[12:] @ at[12:])
+            if at[11] > 0 and promised < best:
+                best, best_step = promised, at[:11]
+            if greatest <= at[11] + GAP:
+                break
+            rows.append(np.array([[*slope, -1.0, *[0.0] * (lines + 1)] for _, _, slope in means]))
+            bounds.append(np.array([-constant for _, constant, _ in means]))
+            result: Any = linprog(
+                cost,
+                np.concatenate(rows),
+                np.concatenate(bounds),
+                bounds=list(zip(low.tolist(), high.tolist(), strict=True)),
+                method="highs",
+            )
+            if result.x is None:
+                raise RuntimeError(f"HiGHS on a linear program that has a solution: {result.message}")
+            at = result.x
+        return best_step, best
+
+    def _strained(self, slopes: Array) -> list[LinearStrain]:
+        """Linear models of the poses in question."""
+        volumes = self.sensitivity.volumes
+        counted = WORST_FRACTION * float(volumes.sum())
+        greatest = self.standing(self.responses).strain
+        out = []
+        for k in np.flatnonzero(greatest >= IN_QUESTION * greatest.max()):
+            response = self.responses[k]
+            order = np.argsort(response.strains)[::-1]
+            kept = order[: int(np.searchsorted(np.cumsum(volumes[order]), KEPT * counted)) + 1]
+            slope = response.strains_slope[kept] @ slopes[k] / STRAIN
+            out.append(LinearStrain(response.strains[kept] / STRAIN, slope, volumes[kept] / counted))
+        return out
+
+    def _constraints(self, slopes: Array) -> tuple[Array, Array]:
+        """Slack (m,) and its derivatives (m, 11): friction cones of all poses, lowest nodes of the last."""
+        slack, slope = [], []
+        for response, by_unknown in zip(self.responses, slopes, strict=True):
+            slack.append((self._cones @ response.forces[..., None]).ravel())
+            slope.append((self._cones @ response.forces_slope).reshape(-1, 4) @ by_unknown)
+        last = self.responses[-1]
+        low = np.argsort(last.clearances)[:LOWEST]
+        slack.append(self._above(last.clearances[low]))
+        slope.append(last.clearances_slope[low] @ slopes[-1] / (self.scene.tissue.length * CLEARANCE))
+        return np.concatenate(slack), np.concatenate(slope)
+
+
+class Polished(Trial):
+    """A trial whose path is improved on its own mesh before, and again where it needs too much friction."""
+
+    def __init__(self, scene: Scene, x: float, unknowns: Array, resolution: str):
+        super().__init__(scene, *jaw_path(scene, x, unknowns), resolution)
+        self._begin = unknowns
+        self._program: Program | None = None
+
+    def squeeze(self, on_increment: Callable[[], None] = lambda: None) -> None:
+        """Improve the path, the first time, then squeeze. Raises MeshError."""
+        start = time.perf_counter()
+        if self._program is None:
+            try:
+                self._program = Program(self.scene, self.grasp.x, self._begin, self.resolution)
+            except Diverged:
+                self.reason = "diverged"
+                return
+            self._improve(self._program)
+        self.optimising = time.perf_counter() - start
+        super().squeeze(on_increment)
+
+    def move(
+        self, bound: Callable[[], float] = lambda: math.inf, on_increment: Callable[[], None] = lambda: None
+    ) -> None:
+        """Follow the path; where it needs too much friction, again with as much less to use."""
+        super().move(bound, on_increment)
+        allowed = ENOUGH * self.scene.limits.friction
+        for _ in range(CORRECTIONS):
+            if self.reason not in ("ok", "slip") or self.required_friction <= allowed:
+                return
+            assert self._program is not None
+            self._program.friction *= min(0.99, max(0.9, allowed / self.required_friction))
+            self._improve(self._program)
+            super().squeeze()
+            super().move(bound, on_increment)
+
+    def _improve(self, program: Program) -> None:
+        program.solve()
+        self.grasp, self.path = jaw_path(self.scene, self.grasp.x, program.unknowns)
+
+
+def plan_fem_gradient(
+    scene: Scene,
+    *,
+    resolution: str,
+    workers: int | None,
+    on_update: OnUpdate | None,
+) -> Plan:
+    """Search places on the coarse mesh, improve the path at the best one on the one asked for, certify.
+
+    What `eased` finds on the coarse mesh is the start, and a candidate beside. Raises NoPlan.
+    """
+    start = time.perf_counter()
+    searched = eased.search(scene, on_update)
+    held = min(searched.holds, key=lambda c: (c.max_strain, c.index), default=None)
+    begin = (held or searched.tried[0]).grasp
+    length, width = scene.tissue.length, scene.jaws.width
+    low, high = -length + width / 2, -(0.5 + SLIVER) * width * (1 + 1e-6)
+    places = sorted({float(np.clip(begin.x + part * length, low, high)) for part in ASIDE})
+    with ThreadPoolExecutor(max_workers=workers or cores()) as pool:
+        try:
+            programs = list(pool.map(partial(_searched, scene, begin.compression), places))
+        except BaseException:
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise
+    solved = sorted(
+        (p for p in programs if p is not None),
+        key=lambda p: (p.standing(p.responses).violation > HOLDS, p.max_strain, p.x),
+    )[:POLISHED]
+    found = time.perf_counter()
+    begun = {jaw_path(scene, p.x, p.unknowns): p.unknowns for p in solved}
+
+    def trial(scene: Scene, grasp: Grasp, path: JawPath, resolution: str) -> Trial:
+        unknowns = begun.get((grasp, path))
+        if unknowns is None:
+            return Trial(scene, grasp, path, resolution)
+        return Polished(scene, grasp.x, unknowns, resolution)
+
+    proposals = [*begun, *([(begin, eased.eased(scene, begin))] if held else [])]
+    try:
+        told = eased.after(searched.tried, on_update)
+        plan = generate_and_test(scene, proposals, KIND, resolution, workers, told, trial=trial)
+    except NoPlan as none:
+        raise NoPlan([*searched.tried, *none.candidates]) from None
+    timings = {**plan.timings, "search": found - start, "total": time.perf_counter() - start}
+    return replace(plan, candidates=(*searched.tried, *plan.candidates), timings=timings)
+
+
+def _searched(scene: Scene, compression: float, x: float) -> Program | None:
+    """The program solved on the coarse mesh at x, m, begun with an eased path; None where that diverges."""
+    line, height = scene.line_of_sight, scene.tissue.height
+    turn = float(paths.arc_turn(1 / paths.goal_radius(line.camera, line.target), -x, height))
+    unknowns = np.empty(11)
+    unknowns[TURN], unknowns[PART], unknowns[GRIP] = turn, eased.TURN, compression / height
+    unknowns[STRETCH] = eased.STRETCH * np.array([1, 2, 3]) / 3
+    try:
+        program = Program(scene, x, unknowns, SEARCHED_ON)
+        program.solve()
+    except (Diverged, MeshError):
+        return None
+    return program

@@ -1,0 +1,1 @@
+"""The flap as a soft body of PyBullet; importing `flap` needs the extra `bullet` nowhere but to make one."""

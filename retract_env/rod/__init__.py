@@ -1,0 +1,1 @@
+"""The flap as a planar rod: its cross-sections, veins included."""

@@ -1,0 +1,25 @@
+"""What is to be retracted: the parts of a scene, which veins it may have, random scenes."""
+
+from retract_env.errors import SceneError
+from retract_env.scene.parts import (
+    Jaws,
+    Limits,
+    LineOfSight,
+    Scene,
+    Tissue,
+    Vein,
+    load_scene,
+    sample_scene,
+)
+
+__all__ = [
+    "Jaws",
+    "Limits",
+    "LineOfSight",
+    "Scene",
+    "SceneError",
+    "Tissue",
+    "Vein",
+    "load_scene",
+    "sample_scene",
+]

@@ -1,0 +1,213 @@
+"""What is to be retracted: the flap and its veins, the line of sight, the limits, the jaws. Sec. III and V.
+
+Frame: at rest the flap fills x in [-length, 0], y in [0, height]; x = 0 is fixed, y = 0 is the bed, gravity
+acts along -y, the camera looks from the upper left. SI units; angles in radians.
+
+Every error is a `SceneError` of one line that names the field, the value and what is allowed, as in
+`tissue.height = -0.0044 m, allowed (0, 0.05] m`. What a vein may look like is said in `veins`, random scenes
+are drawn in `sampling`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+
+from pydantic import ValidationInfo, field_validator, model_validator
+
+from retract_env.config import (
+    Flag,
+    Frozen,
+    Listed,
+    Name,
+    Paired,
+    Range,
+    config_file,
+    point_text,
+    read_yaml,
+    refusal,
+)
+from retract_env.errors import ConfigError, SceneError
+from retract_env.scene.veins import Outline, fitted, simple
+
+if TYPE_CHECKING:
+    from os import PathLike
+
+    # numpy takes longer to import than all else here
+    import numpy as np
+
+    from retract_env.scene.sampling import SceneRanges
+
+Coordinate = Annotated[float, Range(-10.0, 10.0, "m")]
+Vertex = Annotated[tuple[Coordinate, Coordinate], Paired]
+Modulus = Annotated[float, Range(100.0, 1e8, "Pa")]
+Poisson = Annotated[float, Range(0.0, 0.49)]
+Camera = Annotated[tuple[Coordinate, Annotated[float, Range(1e-3, 10.0, "m")]], Paired]
+Target = Annotated[tuple[Coordinate, Annotated[float, Range(0.0, 0.0, "m")]], Paired]
+
+
+class _Part(Frozen):
+    """Constructors and `from_data` raise `SceneError`."""
+
+    error_type: ClassVar[type[ConfigError]] = SceneError
+
+
+class Vein(_Part):
+    """Stiffer body embedded in the flap, extruded along the depth.
+
+    `retract_env.scene.veins` says which outlines are accepted. A closing vertex that repeats the first is
+    dropped, and the order becomes counter-clockwise, beginning at the same vertex.
+    """
+
+    outline: Annotated[tuple[Vertex, ...], Listed]
+    """(k, 2) m, polygon in the x-y section."""
+    modulus: Modulus
+    """Young's modulus, Pa."""
+    poisson: Poisson = 0.45
+
+    @field_validator("outline")
+    @classmethod
+    def _is_simple(cls, outline: Outline) -> Outline:
+        return simple(outline)
+
+
+class Tissue(_Part):
+    """The flap: a block of soft tissue with veins along its depth. Values of the paper: Sec. V."""
+
+    length: Annotated[float, Range(0.0, 0.5, "m", "(]")]
+    height: Annotated[float, Range(0.0, 0.05, "m", "(]")]
+    depth: Annotated[float, Range(0.0, 0.5, "m", "(]")]
+    density: Annotated[float, Range(0.0, 2e4, "kg/m^3")]
+    modulus: Modulus
+    """Young's modulus, Pa."""
+    poisson: Poisson
+    veins: Annotated[tuple[Vein, ...], Listed] = ()
+
+    @field_validator("veins")
+    @classmethod
+    def _fit_in_the_flap(cls, veins: tuple[Vein, ...], info: ValidationInfo) -> tuple[Vein, ...]:
+        if not veins or "length" not in info.data or "height" not in info.data:
+            return veins  # a fault of the length or height is reported by itself
+        outlines = fitted([vein.outline for vein in veins], info.data["length"], info.data["height"])
+        return tuple(
+            vein if outline == vein.outline else vein.model_copy(update={"outline": outline})
+            for vein, outline in zip(veins, outlines, strict=True)
+        )
+
+
+class LineOfSight(_Part):
+    """From the camera A to the farthest point B of the area of interest, on the bed. Fig. 2, Sec. III-C.
+
+    The tissue must end above the line, on the fixed end's side.
+    """
+
+    camera: Camera
+    """A, (x, y) m, above the bed and not beyond the target."""
+    target: Target
+    """B, (x, 0) m."""
+
+    @model_validator(mode="after")
+    def _looks_towards_the_fixed_end(self) -> LineOfSight:
+        if (fault := Range(-10.0, self.target[0], "m").fault(self.camera[0])) is not None:
+            raise refusal(f".camera[0]{fault} (no further right than the target)")
+        return self
+
+    @classmethod
+    def at(cls, target_x: float, slope: float, distance: float = 0.1) -> LineOfSight:
+        """Line to (target_x, 0) m that climbs at slope rad towards -x, the camera at distance m."""
+        for name, value, allowed in (
+            ("slope", slope, Range(0.0, math.pi / 2, "rad", "(]")),
+            ("distance", distance, Range(1e-3, 10.0, "m")),
+        ):
+            if (fault := allowed.fault(value)) is not None:
+                raise SceneError(name + fault)
+        camera = (target_x - distance * math.cos(slope), distance * math.sin(slope))
+        return cls(camera=camera, target=(target_x, 0.0))
+
+    @property
+    def slope(self) -> float:
+        """Angle between line and bed, rad, in (0, pi/2]; pi/4 climbs at 45 degrees towards -x."""
+        return math.atan2(self.camera[1], self.target[0] - self.camera[0])
+
+
+class Limits(_Part):
+    """What the tissue and the grasp bear. Sec. III-C."""
+
+    strain: Annotated[float, Range(0.0, 1.0, "", "()")] = 0.5
+    """eps_L, bound of eps_1%."""
+    friction: Annotated[float, Range(0.0, 5.0, "", "(]")] = 0.5
+    """mu, Coulomb coefficient of jaw on tissue."""
+
+
+class Jaws(_Part):
+    """The gripper's two rigid patches."""
+
+    width: Annotated[float, Range(0.0, 0.125, "m", "()")] = 1e-3
+    """Along x, m; below a quarter of the flap's length."""
+    depth: Annotated[float, Range(0.0, 0.5, "m", "(]")] | None = None
+    """Along z, m, centred; None is the whole depth of the flap."""
+
+
+class Scene(_Part):
+    """One retraction problem."""
+
+    name: Name
+    tissue: Tissue
+    line_of_sight: LineOfSight
+    limits: Limits = Limits()
+    jaws: Jaws = Jaws()
+    gravity: Annotated[float, Range(0.0, 100.0, "m/s^2")] = 9.8
+    """Along -y, m/s^2."""
+    bed: Flag = True
+    """Whether the flap lies on something at y = 0."""
+
+    @model_validator(mode="after")
+    def _parts_agree(self) -> Scene:
+        tissue, (x, y) = self.tissue, self.line_of_sight.camera
+        checks = [
+            (".line_of_sight.target[0]", self.line_of_sight.target[0], Range(-tissue.length, 0.0, "m", "()")),
+            (".jaws.width", self.jaws.width, Range(0.0, tissue.length / 4, "m", "()")),
+        ]
+        if self.jaws.depth is not None:
+            checks.append((".jaws.depth", self.jaws.depth, Range(0.0, tissue.depth, "m", "(]")))
+        found = [(field, allowed.fault(value)) for field, value, allowed in checks]
+        faults = [field + fault for field, fault in found if fault is not None]
+        if -tissue.length <= x <= 0 and y <= tissue.height:
+            faults.append(f".line_of_sight.camera = {point_text(x, y)}, inside the flap")
+        if faults:
+            raise refusal(*faults)
+        return self
+
+    def dump(self) -> dict[str, Any]:
+        """Plain data: dicts, lists, numbers, texts; `from_data` and a YAML file take it back."""
+        return self.model_dump(mode="json")
+
+    @property
+    def hash(self) -> str:
+        """SHA-256, hex, of the values without the name; equal scenes on any machine have equal ones."""
+        values = self.model_dump(mode="json", exclude={"name"})
+        return hashlib.sha256(json.dumps(values, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+
+
+def load_scene(path: str | PathLike[str]) -> Scene:
+    """Scene from a YAML file, its keys and units those of `Scene`, or a shipped one by its name.
+
+    Raises SceneError, naming the file.
+    """
+    try:
+        return Scene.from_data(read_yaml(config_file(path, "scenes")))
+    except ConfigError as error:
+        raise SceneError(f"{path}: {error}") from None
+
+
+def sample_scene(rng: np.random.Generator, ranges: SceneRanges | None = None) -> Scene:
+    """Random flap with irregular oval veins; the same rng state gives the same scene.
+
+    `sampling` has the default ranges. Raises SceneError if the ranges lead to values that no scene may have,
+    or to veins without room.
+    """
+    from retract_env.scene import sampling  # which builds on this module
+
+    return sampling.sample_scene(rng, ranges)

@@ -1,0 +1,151 @@
+"""Demonstrations: certified, played without loss into a Minari data set, and learned from."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("minari")
+pytest.importorskip("h5py")
+
+import gymnasium as gym
+
+from baselines.benchmark.splits import load_benchmark
+from baselines.jobs.journal import Row, run_tasks
+from baselines.learning import demos
+from retract_env.rollout import gripper_pose
+from retract_env.task import SLICES
+
+BENCHMARK = Path(__file__).resolve().parents[3] / "configs" / "benchmark.yaml"
+NAME = "toy/eased-v0"
+
+
+@pytest.fixture(autouse=True)
+def _datasets(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path_factory.getbasetemp() / "minari"))
+
+
+@pytest.fixture(scope="module")
+def tasks() -> list[dict[str, Any]]:
+    return [{"planner": "eased", "resolution": "coarse", "seed": seed} for seed in (1, 2)]
+
+
+@pytest.fixture(scope="module")
+def rows(tasks: list[dict[str, Any]]) -> list[Row]:
+    return run_tasks(tasks, demos.demonstrate, None)
+
+
+@pytest.fixture
+def dataset(rows: list[Row], tasks: list[dict[str, Any]]) -> Any:
+    import minari
+
+    if NAME not in minari.list_local_datasets():
+        demos.write_dataset(NAME, rows, tasks[0], "retract demos")
+    return minari.load_dataset(NAME)
+
+
+def test_a_demonstration_is_certified_and_succeeds(rows: list[Row]) -> None:
+    for row in rows:
+        assert row["certificate"]["certified"] and row["episode"] is not None
+        assert row["scene_hash"] == row["certificate"]["scene_hash"] == demos.demo_scene(row["seed"]).hash
+
+
+def test_it_is_the_same_again(rows: list[Row], tasks: list[dict[str, Any]]) -> None:
+    assert demos.demonstrate(tasks[0]) == rows[0]
+
+
+def test_the_dataset_keeps_seeds_certificates_and_command(dataset: Any, rows: list[Row]) -> None:
+    metadata = dataset.storage.metadata
+    assert metadata["command"] == "retract demos" and metadata["certificates"] == "coarse"
+    assert metadata["algorithm_name"] == "eased" and metadata["failed_seeds"] == {}
+    assert dataset.env_spec.id == demos.ENV
+    kept = list(dataset.storage.get_episode_metadata(range(2)))
+    for row, about in zip(rows, kept, strict=True):
+        assert about["scene_seed"].tolist() == [demos.SEED, row["seed"]]
+        assert about["scene_hash"] == row["scene_hash"]
+        assert json.loads(about["certificate"]) == row["certificate"]
+
+
+def test_its_episodes_are_what_the_environment_says(dataset: Any) -> None:
+    """Its actions, taken in its scene, give its observations and rewards."""
+    env = gym.make(demos.ENV, **demos.KWARGS)
+    episode = dataset[0]
+    scene = demos.demo_scene(1)
+    seen, _ = env.reset(options={"scene": scene.dump()})
+    for k, action in enumerate(episode.actions):
+        assert np.array_equal(seen, episode.observations[k])
+        seen, reward, terminated, _, info = env.step(action)
+        assert reward == episode.rewards[k]
+    assert terminated and episode.terminations.tolist() == [False] * k + [True]
+    assert info["is_success"]
+    # it moved: the jaws ended somewhere else than they closed
+    poses = [gripper_pose(o, scene) for o in episode.observations[[1, -1]]]
+    assert np.hypot(*(poses[1] - poses[0])[:2]) > 5e-3
+    env.close()
+
+
+def test_what_is_learned_from_has_a_grasp_in_each_episode(dataset: Any) -> None:
+    learned = demos.load_demos(NAME)
+    assert learned.episodes == 2
+    assert learned.observations.shape == (len(learned.actions), 107)
+    assert (learned.observations[:, SLICES["holding"]] == 0).sum() == 2
+    assert demos.load_demos(NAME, 1).episodes == 1
+
+
+def test_demonstrated_scenes_are_none_of_the_benchmarks() -> None:
+    splits = load_benchmark(BENCHMARK).splits
+    assert demos.SEED not in {split.seed for split in splits.values()}
+
+
+@pytest.mark.parametrize("name", ["", "no version", "a/b", "../up-v0"])
+def test_a_name_that_is_none_is_refused(name: str) -> None:
+    with pytest.raises(demos.DemosError, match=r"^dataset = .*, allowed names such as "):
+        demos.check_free(name)
+
+
+def test_a_name_is_given_once(dataset: Any) -> None:
+    with pytest.raises(demos.DemosError, match=rf"^dataset {NAME}: there is one already"):
+        demos.check_free(NAME)
+
+
+def test_what_is_missing_or_broken_is_said(
+    dataset: Any, rows: list[Row], tasks: list[dict[str, Any]]
+) -> None:
+    with pytest.raises(demos.DemosError, match=r"^dataset toy/none-v0: there is none; `retract demos` makes"):
+        demos.load_demos("toy/none-v0")
+    broken = dataset.storage.data_path / "main_data.hdf5"
+    whole = broken.read_bytes()
+    try:
+        broken.write_bytes(b"something else")
+        with pytest.raises(demos.DemosError, match=rf"^dataset {NAME}: "):
+            demos.load_demos(NAME)
+    finally:
+        broken.write_bytes(whole)
+    failed = [row | {"episode": None, "failure": "1 candidates: 1 slip"} for row in rows]
+    with pytest.raises(demos.DemosError, match=r"^2 scenes, none demonstrated: 1 candidates: 1 slip$"):
+        demos.write_dataset("toy/failed-v0", failed, tasks[0], "retract demos")
+
+
+def test_a_clone_repeats_what_it_was_shown(dataset: Any, tmp_path: Path) -> None:
+    """Fitted to two demonstrations it does both again."""
+    pytest.importorskip("stable_baselines3")
+    from baselines.learning import train
+    from baselines.learning.recipe import Recipe
+    from tests.baselines.trained import LEARNERS
+
+    data = {
+        "algorithm": "bc",
+        "steps": 1200,
+        "task": {"scene": "random"},
+        "network": {"sizes": [64, 64]},
+        "evaluation": {"every": 600},
+        "learner": LEARNERS["bc"] | {"dataset": NAME, "learning_rate": 3e-3},
+    }
+    scenes = [demos.demo_scene(seed).dump() for seed in (1, 2)]
+    trained = train.train(train.Run(Recipe.from_data(data), 0, 1, scenes), tmp_path)
+    assert trained.scores["validation"]["success"] == 1
+    assert trained.name == "bc" and trained.training["recipe"]["learner"]["dataset"] == NAME

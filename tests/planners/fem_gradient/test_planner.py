@@ -1,0 +1,248 @@
+"""fem_gradient: its derivatives, its linear program, and what it finds."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+from functools import cache
+from unittest.mock import patch
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import planners
+from planners import eased
+from planners.base import Candidate, NoPlan, Plan
+from planners.certify import certify
+from planners.fem_gradient import planner as fem_gradient
+from planners.fem_gradient.planner import (
+    ENOUGH,
+    GRIP,
+    HOLDS,
+    KIND,
+    PART,
+    STRETCH,
+    TIMES,
+    TURN,
+    UNITS,
+    Program,
+    jaw_path,
+    motion,
+    motion_slope,
+)
+from planners.fem_gradient.sensitivity import Response, Sensitivity
+from planners.light_grip import LightGrip
+from planners.paths import arc_turn, ctc, goal_radius
+from retract_env.mesh import Resolution
+from retract_env.objectives import clearance, required_friction, worst_mean
+from retract_env.physics.fem import FemPhysics
+from retract_env.scene import Scene
+from tests.planners.retractions import a_grasp, a_scene, veined
+from tests.retract_env.bodies import HEIGHT
+
+Array = NDArray[np.float64]
+
+TINY = Resolution("tiny", patch=2, edge=0.5, growth=1.0, bulk=1.0, bed=0.3, vein_corners=4)
+GRASP = a_grasp(-0.03, 0.06)
+HOMOGENEOUS = a_scene(friction=0.5)
+LIGHT = a_grasp(-0.035, 0.085)
+"""The place and grip that `light_grip` comes to on this scene."""
+
+
+@cache
+def bent(name: str) -> tuple[Sensitivity, Response, FemPhysics]:
+    """A flap half way to exposure, part of it still on its bed, with its derivatives."""
+    scene = {"homogeneous": HOMOGENEOUS, "veined": veined()}[name]
+    path = eased.eased(scene, GRASP, 12)
+    physics = FemPhysics(scene, GRASP.x, TINY)
+    physics.reset()
+    for k in range(1, 8):
+        physics.move_to(path.pose_at(k), float(k))
+    sensitivity = Sensitivity(physics)
+    return sensitivity, sensitivity.settled(path.pose_at(7.0), physics.displacements), physics
+
+
+@cache
+def program() -> Program:
+    """Begun with an eased path that neither holds nor clears the line."""
+    line = HOMOGENEOUS.line_of_sight
+    turn = 0.95 * float(arc_turn(1 / goal_radius(line.camera, line.target), -GRASP.x, HEIGHT))
+    begin = np.array([turn, *(0.01 * np.array([1, 2, 3]) / 3), *[0.82] * 3, *[0.03] * 4])
+    return Program(HOMOGENEOUS, GRASP.x, begin, "coarse")
+
+
+def check_slope(value: Callable[[float], Array], slope: Array, step: float) -> None:
+    """Central differences D(h) leave out c h^2, so that D(h/2) is off by a third of D(h) - D(h/2); twice that
+    is left for higher orders, and 1e-6 for what is left of the residual in each equilibrium."""
+    wide, narrow = ((value(h) - value(-h)) / (2 * h) for h in (step, step / 2))
+    allowed = np.abs(wide - narrow).max() + 1e-6 * np.abs(slope).max()
+    assert np.abs(slope).max() > 0
+    assert np.abs(slope - narrow).max() <= allowed
+    assert allowed < 0.02 * np.abs(slope).max()  # else the step was too long to tell
+
+
+# --- Derivatives
+
+
+@pytest.mark.parametrize("name", ["homogeneous", "veined"])
+@pytest.mark.parametrize(("component", "step"), [(0, 2e-5), (1, 2e-5), (2, 2e-3), (3, 1e-5)])
+def test_slopes_are_what_differences_of_equilibria_say(name: str, component: int, step: float) -> None:
+    """Strain, jaw forces, clearance and the displacements themselves, by x, y, theta and separation."""
+    sensitivity, at, _ = bent(name)
+
+    @cache
+    def moved(h: float) -> Response:
+        return sensitivity.at(at.pose + h * np.eye(4)[component], at)
+
+    worst = at.strains >= np.sort(at.strains)[-20]
+    check_slope(lambda h: moved(h).u, at.slope[:, component], step)
+    check_slope(lambda h: moved(h).strains[worst], at.strains_slope[worst, component], step)
+    check_slope(lambda h: moved(h).forces, at.forces_slope[:, :, component], step)
+    check_slope(lambda h: moved(h).clearances, at.clearances_slope[:, component], step)
+
+
+@pytest.mark.parametrize("name", ["homogeneous", "veined"])
+def test_responses_are_measured_as_the_certifier_measures(name: str) -> None:
+    sensitivity, at, physics = bent(name)
+    state = physics.state()
+    # the state's equilibrium is known to a strain of 1e-5
+    assert worst_mean(at.strains, sensitivity.volumes) == pytest.approx(state.max_strain, abs=2e-5)
+    assert at.clearances.min() == pytest.approx(state.clearance, abs=1e-5 * 0.05)
+    line = physics.scene.line_of_sight
+    every = np.concatenate([sensitivity.model.positions(at.u, k) for k in range(2)])
+    assert at.clearances.min() == pytest.approx(clearance(every, line.camera, line.target), rel=1e-12)
+    friction = np.abs(at.forces[:, 0]) / at.forces[:, 1]
+    assert friction == pytest.approx(required_friction(state.reactions, state.normals), rel=1e-3)
+
+
+def test_motion_slopes_are_differences_of_poses() -> None:
+    times = np.linspace(0, 1, 7)
+    unknowns = np.array([1.1, 0.005, 0.01, 0.02, 0.7, 0.8, 0.9, 0.05, 0.04, 0.06, 0.03])
+    slope = motion_slope(HOMOGENEOUS, -0.03, unknowns, times)
+    for k in range(11):
+
+        def value(h: float, k: int = k) -> Array:
+            return motion(HOMOGENEOUS, -0.03, unknowns + h * UNITS * np.eye(11)[k], times)
+
+        check_slope(value, slope[:, :, k], 1e-2)
+
+
+# --- Paths
+
+
+def test_eased_paths_are_among_the_motions() -> None:
+    scene, times = HOMOGENEOUS, np.linspace(0, 1.2, 9)
+    line = scene.line_of_sight
+    goal = float(arc_turn(1 / goal_radius(line.camera, line.target), -GRASP.x, HEIGHT))
+    unknowns = np.empty(11)
+    unknowns[TURN], unknowns[PART], unknowns[GRIP] = goal, eased.TURN, GRASP.compression / HEIGHT
+    unknowns[STRETCH] = eased.STRETCH * np.array([1, 2, 3]) / 3
+    poses = eased.eased(scene, GRASP, 400).poses[1:]
+    found = motion(scene, GRASP.x, unknowns, times)
+    for k in range(4):
+        # between 400 waypoints a smooth path differs from its chords by 1e-5 of its size
+        at = np.interp(-found[:, 2], -poses[:, 2], poses[:, k])
+        assert found[:, k] == pytest.approx(at, abs=1e-4 * max(np.abs(poses[:, k]).max(), HEIGHT))
+
+
+def test_paths_begin_squeezed_in_place() -> None:
+    unknowns = np.array([1.1, 0.005, 0.01, 0.02, 0.7, 0.8, 0.9, 0.05, 0.04, 0.06, 0.03])
+    grasp, path = jaw_path(HOMOGENEOUS, -0.03, unknowns)
+    assert grasp.x == -0.03 and grasp.compression == pytest.approx(0.05 * HEIGHT)
+    assert path.poses[0] == pytest.approx([-0.03, HEIGHT / 2, 0.0, HEIGHT])
+    assert path.poses[1] == pytest.approx([-0.03, HEIGHT / 2, 0.0, HEIGHT - grasp.compression])
+    assert path.poses[-1, 3] == pytest.approx(0.97 * HEIGHT)
+
+
+# --- The linear program
+
+
+def test_no_step_promises_what_the_finite_elements_found() -> None:
+    """The program's eps_1% is `worst_mean`, to the last digits that its solver gives."""
+    begun = program()
+    merit = begun._merit(begun.unknowns, begun.responses)
+    _, promised = begun._step(1e-9)
+    assert promised == pytest.approx(merit, abs=1e-5)
+
+
+def test_linear_models_are_off_by_the_square_of_the_step() -> None:
+    begun = program()
+    slopes = motion_slope(begun.scene, begun.x, begun.unknowns, TIMES)
+    linear, (slack, slack_slope) = begun._strained(slopes), begun._constraints(slopes)
+    step, _ = begun._step(0.5)
+    errors = []
+    for part in (0.2, 0.05):
+        poses = motion(begun.scene, begun.x, begun.unknowns + part * UNITS * step, TIMES)
+        responses = [begun.sensitivity.at(p, r) for p, r in zip(poses, begun.responses, strict=True)]
+        standing = begun.standing(responses)
+        promised = max(pose.worst(part * step)[0] for pose in linear)
+        # the friction cones' rows come first, then the lowest nodes, in the models; their least, in the truth
+        cones = len(standing.slack) - 1
+        wanted = slack + part * slack_slope @ step
+        off = np.append(wanted[:cones] - standing.slack[:cones], wanted[cones:].min() - standing.slack[-1])
+        errors.append([abs(promised - float(standing.strain.max())), float(np.abs(off).max())])
+    # a sixteenth, but for higher orders
+    assert (np.array(errors[1]) < np.array(errors[0]) / 8).all()
+
+
+def test_a_path_that_slips_and_hides_the_target_comes_to_hold_and_to_clear() -> None:
+    begun = program()
+    before = begun.standing(begun.responses)
+    assert before.violation > HOLDS
+    solved = Program(HOMOGENEOUS, GRASP.x, begun.unknowns, "coarse")
+    solved.solve()
+    after = solved.standing(solved.responses)
+    assert after.violation < HOLDS
+    assert solved.responses[-1].clearances.min() > 0
+
+
+# --- The planner
+
+
+@cache
+def planned(workers: int = 1) -> Plan:
+    with patch.object(fem_gradient, "ASIDE", (-0.05, 0.0)):
+        return planners.plan(HOMOGENEOUS, KIND, "coarse", workers)
+
+
+def test_it_spares_the_tissue_more_than_light_grip_and_eased_do() -> None:
+    found = planned()
+    certificate = found.certificate
+    assert certificate.certified and found.path.kind == KIND
+    assert certificate.required_friction <= ENOUGH * HOMOGENEOUS.limits.friction
+    light = LightGrip(HOMOGENEOUS, LIGHT, ctc(HOMOGENEOUS, LIGHT), "coarse")
+    light.squeeze()
+    light.move()
+    assert light.reason == "ok" and certificate.max_strain < 0.9 * light.max_strain
+    assert certificate.max_strain <= planners.plan(HOMOGENEOUS, "eased", "coarse", 1).certificate.max_strain
+
+
+def test_its_certificate_is_the_certifiers() -> None:
+    found = planned()
+    assert found.certificate.to_json() == certify(HOMOGENEOUS, found.grasp, found.path, "coarse").to_json()
+
+
+def test_workers_make_no_difference() -> None:
+    assert planned(2).to_json() == planned().to_json()
+
+
+def test_an_interrupt_in_an_update_comes_out_and_leaves_no_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fem_gradient, "ASIDE", (0.0,))
+    before = set(threading.enumerate())
+
+    def update(candidates: Sequence[Candidate]) -> None:
+        if any(c.status == "squeezed" for c in candidates):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        planners.PLANNERS[KIND](HOMOGENEOUS, resolution="coarse", workers=2, on_update=update)
+    assert set(threading.enumerate()) == before
+
+
+def test_what_no_path_can_do_is_no_plan(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A flap that may hardly be strained cannot be bent away."""
+    monkeypatch.setattr(fem_gradient, "ASIDE", (0.0,))
+    strict: Scene = a_scene(strain=0.02)
+    with pytest.raises(NoPlan, match="strain"):
+        planners.plan(strict, KIND, "coarse", 1)

@@ -1,0 +1,71 @@
+"""Random scenes: valid, within their ranges, named by a seed."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+
+import numpy as np
+import shapely
+
+from retract_env.scene import Scene, sample_scene
+from retract_env.scene.sampling import SceneRanges
+from retract_env.scene.veins import MIN_GAP
+from tests.retract_env.descriptions import HEIGHT, LENGTH, complaint
+
+
+def test_sampled_scenes_are_valid_and_keep_their_ranges() -> None:
+    """200 seeds. The checks are made afresh here, with polygons, not with the sampler's own."""
+    counts: Counter[int] = Counter()
+    moduli: list[float] = []
+    for seed in range(200):
+        scene = sample_scene(np.random.default_rng(seed))
+        assert Scene.from_data(scene.dump()) == scene
+        veins = scene.tissue.veins
+        counts[len(veins)] += 1
+        moduli += [vein.modulus for vein in veins]
+        polygons = [shapely.Polygon(vein.outline) for vein in veins]
+        room = shapely.box(-LENGTH, 0.0, 0.0, HEIGHT).buffer(-MIN_GAP)
+        assert all(room.covers(polygon) for polygon in polygons)
+        for i, polygon in enumerate(polygons):
+            assert polygon.area > 0.9 * polygon.convex_hull.area
+            assert all(polygon.distance(other) >= MIN_GAP for other in polygons[:i])
+        assert 0.1 * LENGTH <= -scene.line_of_sight.target[0] <= 0.4 * LENGTH
+        assert 30.0 - 1e-9 <= math.degrees(scene.line_of_sight.slope) <= 70.0 + 1e-9
+    assert set(counts) == set(range(21))  # each number is missed with probability (20/21)^200 < 1e-4
+    assert min(moduli) >= 80e3
+    assert max(moduli) <= 400e3
+    # Log-uniform: half of the n moduli lie below the geometric mean, up to four binomial standard deviations.
+    below = np.mean(np.array(moduli) < math.sqrt(80e3 * 400e3))
+    assert abs(below - 0.5) < 4 * 0.5 / math.sqrt(len(moduli))
+
+
+def test_a_seed_names_a_scene() -> None:
+    first, again, other = (sample_scene(np.random.default_rng(seed)) for seed in (7, 7, 8))
+    assert first == again
+    assert first.hash == again.hash
+    assert first.hash != other.hash
+
+
+def test_ranges_shift_what_is_drawn() -> None:
+    ranges = SceneRanges(
+        veins=(12, 12), tissue_modulus=(20e3, 80e3), height=(3e-3, 6e-3), depth=(0.01, 0.02), slope=(1.3, 1.4)
+    )
+    scenes = [sample_scene(np.random.default_rng(seed), ranges) for seed in range(20)]
+    assert {len(scene.tissue.veins) for scene in scenes} == {12}
+    for scene in scenes:
+        assert 20e3 <= scene.tissue.modulus <= 80e3
+        assert 3e-3 <= scene.tissue.height <= 6e-3
+        assert 0.01 <= scene.tissue.depth <= 0.02
+        assert 1.3 - 1e-9 <= scene.line_of_sight.slope <= 1.4 + 1e-9
+    assert len({scene.tissue.height for scene in scenes}) == 20
+
+
+def test_ranges_that_cannot_be_met_are_refused() -> None:
+    rng = np.random.default_rng(0)
+    crowd = SceneRanges(veins=(60, 60), length=(0.005, 0.005))
+    assert "no room for vein" in complaint(lambda: sample_scene(rng, crowd))
+    assert "slope = (2, 1), not a range" in complaint(lambda: SceneRanges(slope=(2, 1)))
+    assert "height = " in complaint(
+        lambda: sample_scene(rng, SceneRanges(height=(1.0, 1.0), length=(0.5, 0.5)))
+    )
