@@ -41,6 +41,8 @@ class TissueState:
     """m, signed distance of the lowest tissue node to AB; negative while tissue lies below it."""
     progress: float
     """How far along the path, in waypoints; 0 at rest, 1 squeezed."""
+    overlap: bool = False
+    """Whether the outline crosses itself, or tissue lies inside the block that holds the fixed end."""
 
 
 class Physics(Protocol):

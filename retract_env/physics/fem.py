@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -135,6 +135,35 @@ class FemPhysics:
             self.seconds["equilibrium"] += time.perf_counter() - start
         self._pose = pose
         return self.state()
+
+    def between(
+        self, known: Sequence[tuple[float, Array]], pose: Array, progress: float
+    ) -> tuple[TissueState, Array]:
+        """The state at a pose (4,) between known equilibria, and its displacements (n,) m.
+
+        known: progress, ascending, and displacements of at least two, on both sides. The flap itself stays
+        where it is. Raises Diverged.
+        """
+        kept = self._u, self._force, self._pose, self._progress, self._history
+        start = time.perf_counter()
+        try:
+            nearest = sorted(known, key=lambda k: abs(k[0] - progress))[:MEMORY]
+            self._history = sorted(nearest, key=lambda k: k[0])
+            u = self._extrapolate(progress)
+            self.model.place_jaws(u, to_jaws(pose))
+            self._u, self._force = self.equilibrium.solve(u)
+            self._pose, self._progress = pose, progress
+            return self.state(), self._u
+        finally:
+            self.seconds["equilibrium"] += time.perf_counter() - start
+            self._u, self._force, self._pose, self._progress, self._history = kept
+
+    def resume(self, pose: Array, progress: float, u: Array) -> None:
+        """Go back to an equilibrium, at a pose (4,), whose displacements u (n,) m are known."""
+        self._u, self._force = u, self.model.residual(u)[1]
+        self._pose, self._progress = pose, progress
+        self._history = [(progress, u)]
+        self.equilibrium.usable = False
 
     def close(self) -> None:
         """Nothing is held that would not go by itself."""

@@ -9,12 +9,13 @@ import pytest
 from numpy.typing import NDArray
 
 from planners.certify import Certificate, Trial, certify
-from planners.certify.retraction import ON_TIME, SQUEEZE_INCREMENTS
+from planners.certify.retraction import FRICTION_TOLERANCE, ON_TIME, SQUEEZE_INCREMENTS, STRAIN_TOLERANCE
 from planners.paths import circular, ctc
 from retract_env import objectives
 from retract_env.errors import Diverged
 from retract_env.grasp import Grasp, JawPath
 from retract_env.physics.fem import FemPhysics
+from retract_env.physics.measures import Measures
 from retract_env.scene import Jaws, Scene
 from tests.planners.retractions import MOTIONS, a_grasp, a_scene, box, judged, poses, retraction, veined
 from tests.retract_env.bodies import HEIGHT, LENGTH
@@ -54,7 +55,7 @@ def test_the_squeeze_bounds_strain_from_below(scene: Scene, motion: str) -> None
 
 
 @pytest.mark.parametrize(("motion", "x"), [("ctc", -0.025), ("circular", -0.015)])
-def test_a_limit_at_the_measured_value_holds_and_the_next_number_below_does_not(
+def test_a_limit_above_the_measured_value_holds_and_one_below_does_not(
     motion: str, x: float
 ) -> None:
     """Also where it is broken right after the tissue was seen, before the next waypoint."""
@@ -62,12 +63,12 @@ def test_a_limit_at_the_measured_value_holds_and_the_next_number_below_does_not(
     strain, friction = free.max_strain, free.required_friction
     if motion == "circular":
         assert free.history["strain"][-1] == strain  # it grows as the retraction ends
-    exact = retraction(a_scene(strain, friction), a_grasp(x), motion)
-    assert exact.certified
-    assert exact.history == free.history
-    less_strain, less_friction = float(np.nextafter(strain, 0)), float(np.nextafter(friction, 0))
-    assert retraction(a_scene(less_strain, friction), a_grasp(x), motion).reason == "strain"
-    assert retraction(a_scene(strain, less_friction), a_grasp(x), motion).reason == "slip"
+    # between increments both are known to a tolerance
+    most_strain, most_friction = strain * (1 + STRAIN_TOLERANCE), friction + FRICTION_TOLERANCE
+    assert retraction(a_scene(most_strain, most_friction), a_grasp(x), motion).certified
+    less_strain, less_friction = strain * (1 - STRAIN_TOLERANCE), friction - FRICTION_TOLERANCE
+    assert retraction(a_scene(less_strain, most_friction), a_grasp(x), motion).reason == "strain"
+    assert retraction(a_scene(most_strain, less_friction), a_grasp(x), motion).reason == "slip"
 
 
 LIGHT = a_grasp(-0.020, part=0.12)
@@ -141,7 +142,7 @@ def check_consistent(certificate: Certificate) -> None:
 def test_an_impossible_motion_ends_with_a_reason(motion: tuple[float, float, float, float]) -> None:
     scene = a_scene(strain=0.99)
     certificate = judged(scene, a_grasp(), poses(a_grasp(), motion))
-    assert certificate.reason in ("strain", "slip", "release", "diverged")
+    assert certificate.reason in ("strain", "slip", "release", "contact", "diverged")
     check_consistent(certificate)
 
 
@@ -312,8 +313,12 @@ def test_ctc_strains_and_frictions_are_those_of_the_first_measurements(case: tup
     assert certificate.required_friction == pytest.approx(friction, abs=0.005 + 2 * COARSE * friction)
 
 
-def test_the_hardest_ctc_case_has_its_converged_strain() -> None:
-    certificate = retraction(a_scene(target=0.15), a_grasp(-0.010))
+def test_the_hardest_ctc_case_has_its_converged_strain(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The converged value knows no contact; beside a jaw the surface creases, far beyond friction of .5."""
+    scene, grasp = a_scene(target=0.15), a_grasp(-0.010)
+    assert certify(scene, grasp, ctc(scene, grasp), "coarse").reason == "contact"
+    monkeypatch.setattr(Measures, "_overlaps", lambda self, points: False)
+    certificate = certify(scene, grasp, ctc(scene, grasp), "coarse")
     assert certificate.max_strain == pytest.approx(0.4015, rel=COARSE)
 
 
