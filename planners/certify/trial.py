@@ -84,6 +84,8 @@ class Trial(Retraction):
                 "progress": gripped.progress,
                 "jaw": ("lower", "upper")[int(gripped.required_friction.argmax())],
             },
+            # m^2 of the section, covered twice beside a jaw's edge
+            "crease": max(f.crease for f in self.frames),
             "strain_tolerance": STRAIN_TOLERANCE,
             "friction_tolerance": FRICTION_TOLERANCE,
         }

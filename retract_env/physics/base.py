@@ -41,8 +41,11 @@ class TissueState:
     """m, signed distance of the lowest tissue node to AB; negative while tissue lies below it."""
     progress: float
     """How far along the path, in waypoints; 0 at rest, 1 squeezed."""
+    crease: float = 0.0
+    """m^2, of the section, that tissue covers twice: nothing keeps it from passing through itself."""
     overlap: bool = False
-    """Whether the outline crosses itself, or tissue lies inside the block that holds the fixed end."""
+    """Whether that is more than a jaw's sharp edge explains, or tissue lies inside the block that holds the
+    fixed end."""
 
 
 class Physics(Protocol):

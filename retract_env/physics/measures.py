@@ -28,9 +28,13 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
-OVERLAP = 1e-3
+IN_BLOCK = 1e-3
 """Part of the height that tissue has to be inside the fixed block to count: nodes beside the fixed end keep
 off it by rounding alone."""
+EDGE = 0.2
+"""Over a jaw's width, side of the square that may be covered twice. Beside the sharp edge of a rigid patch
+the surface of a soft solid folds on the scale of the elements there; a real pad's edge is rounder than that.
+What covers more meets itself elsewhere, or so deeply that it matters."""
 
 
 def linear_tetrahedra(points: Array, cells: Ints, modulus: Array, poisson: Array) -> ElementBlock:
@@ -58,6 +62,21 @@ def outline_ring(section: SectionMesh) -> Ints:
         node = following
         if node == begin:
             return np.array(ring, np.int32)
+
+
+def doubled(outline: Array) -> float:
+    """m^2, area that a closed outline (k, 2) m, counter-clockwise, covers more than once or inside out."""
+    ring = shapely.linearrings(outline)
+    if shapely.is_simple(ring):
+        return 0.0
+    closed = np.vstack([outline, outline[:1]])
+    area = 0.0
+    for face in shapely.get_parts(shapely.polygonize([shapely.node(ring)])):
+        away = closed - shapely.get_coordinates(shapely.point_on_surface(face))
+        turned = np.unwrap(np.arctan2(away[:, 1], away[:, 0]))
+        if round((turned[-1] - turned[0]) / (2 * np.pi)) not in (0, 1):
+            area += float(shapely.area(face))
+    return area
 
 
 def tool_outline(scene: Scene, jaws: Array) -> Array:
@@ -104,6 +123,8 @@ class Measures:
         axis = (jaws[2:] - jaws[:2]) / np.hypot(*(jaws[2:] - jaws[:2]))
         normals = np.array([axis, -axis])
         line = self.scene.line_of_sight
+        height = self.scene.tissue.height
+        crease = max(doubled(p[self._ring]) for p in levels)
         seen = [*levels, tool_outline(self.scene, jaws)] if self.scene.jaws.in_sight else levels
         return TissueState(
             points=levels[0],
@@ -116,14 +137,10 @@ class Measures:
             required_friction=required_friction(reactions, normals),
             clearance=min(clearance(p, line.camera, line.target) for p in seen),
             progress=progress,
-            overlap=any(self._overlaps(p) for p in levels),
+            crease=crease,
+            overlap=crease > (EDGE * self.scene.jaws.width) ** 2
+            or any(inside_block(p, height, IN_BLOCK * height) for p in levels),
         )
-
-    def _overlaps(self, points: Array) -> bool:
-        """Whether a level of nodes (n, 2) m, those of the section first, meets itself or the block."""
-        height = self.scene.tissue.height
-        ring = shapely.linearrings(points[self._ring])
-        return not shapely.is_simple(ring) or inside_block(points, height, OVERLAP * height)
 
 
 class TetrahedralFlap:
