@@ -6,7 +6,7 @@ positions, by the finite-element kernels.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import shapely
@@ -71,7 +71,8 @@ def doubled(outline: Array) -> float:
         return 0.0
     closed = np.vstack([outline, outline[:1]])
     area = 0.0
-    for face in shapely.get_parts(shapely.polygonize([shapely.node(ring)])):
+    crossed: Any = shapely.node(ring)
+    for face in shapely.get_parts(shapely.polygonize([crossed])):
         away = closed - shapely.get_coordinates(shapely.point_on_surface(face))
         turned = np.unwrap(np.arctan2(away[:, 1], away[:, 0]))
         if round((turned[-1] - turned[0]) / (2 * np.pi)) not in (0, 1):
