@@ -229,22 +229,13 @@ class Retraction:
         return self._time_visibility() if found == "ok" else found
 
     def _between(self, place: int) -> tuple[TissueState, NDArray[np.float64]]:
-        """State and displacements half-way from the frame before a place to the one there.
-
-        Where they do not follow from those on both sides, as where the flap snaps over, the jaws go there
-        from the earlier one. Raises Diverged.
-        """
+        """State and displacements half-way to a place from the frame before it. Raises Diverged."""
         assert self.physics is not None
         before, after = self.frames[place - 1], self.frames[place]
         progress = (before.progress + after.progress) / 2
         pose = self.path.pose_at(progress)
         known = [(f.progress, u) for f, u in zip(self.frames, self._shapes, strict=True) if f.progress >= 1]
-        try:
-            return self.physics.between(known, pose, progress)
-        except Diverged:
-            self.physics.resume(self.path.pose_at(before.progress), before.progress, self._shapes[place - 1])
-            state = self.physics.move_to(pose, progress)
-            return state, self.physics.displacements
+        return self.physics.between(known, self.path.pose_at(before.progress), pose, progress)
 
     def _time_visibility(self) -> str:
         """Shorten the last increment until the tissue has just cleared the line (regula falsi, Illinois).

@@ -137,25 +137,28 @@ class FemPhysics:
         return self.state()
 
     def between(
-        self, known: Sequence[tuple[float, Array]], pose: Array, progress: float
+        self, known: Sequence[tuple[float, Array]], start: Array, pose: Array, progress: float
     ) -> tuple[TissueState, Array]:
         """The state at a pose (4,) between known equilibria, and its displacements (n,) m.
 
-        known: progress, ascending, and displacements of at least two, on both sides. The flap itself stays
-        where it is. Raises Diverged.
+        known: progress, ascending, and displacements of at least two, on both sides; start: pose (4,) of the
+        last one before. Where the state does not follow from both sides, as where the flap snaps over, the
+        jaws go there from the earlier one. The flap itself stays where it is. Raises Diverged.
         """
         kept = self._u, self._force, self._pose, self._progress, self._history
-        start = time.perf_counter()
         try:
             nearest = sorted(known, key=lambda k: abs(k[0] - progress))[:MEMORY]
             self._history = sorted(nearest, key=lambda k: k[0])
             u = self._extrapolate(progress)
             self.model.place_jaws(u, to_jaws(pose))
-            self._u, self._force = self.equilibrium.solve(u)
-            self._pose, self._progress = pose, progress
+            try:
+                self._u, self._force = self.equilibrium.solve(u)
+                self._pose, self._progress = pose, progress
+            except Diverged:
+                self.resume(start, *max((k for k in known if k[0] < progress), key=lambda k: k[0]))
+                self.move_to(pose, progress)
             return self.state(), self._u
         finally:
-            self.seconds["equilibrium"] += time.perf_counter() - start
             self._u, self._force, self._pose, self._progress, self._history = kept
 
     def resume(self, pose: Array, progress: float, u: Array) -> None:
