@@ -16,7 +16,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from planners.certify import Trial
-from planners.proposals import PATHS
+from planners.paths import PATHS
 from retract_env.grasp import Grasp, JawPath
 from retract_env.scene import Limits, Scene
 

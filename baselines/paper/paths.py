@@ -23,7 +23,8 @@ from baselines.paper.report import (
 )
 from baselines.paper.tasks import Row, Task, retraction
 from baselines.pictures.drawing import MM
-from planners.proposals import PATHS, stable_grasps
+from planners.paths import PAPER_PATHS
+from planners.proposals import stable_grasps
 from retract_env.drawing.palette import GREY, INK, LIMIT, SIGHT, VALUE
 from retract_env.scene import Scene
 
@@ -43,7 +44,7 @@ def path_tasks(scenes: Sequence[Scene]) -> list[Task]:
     for scene in scenes:
         veins = [np.mean(vein.outline, axis=0)[0] for vein in scene.tissue.veins]
         for grasp in sorted(stable_grasps(scene), key=lambda grasp: grasp.x):
-            for path in PATHS:
+            for path in PAPER_PATHS:
                 label = {
                     "scene": scene.name,
                     "target": scene.line_of_sight.target[0],
@@ -63,7 +64,7 @@ def strains(rows: Sequence[Row], scene: str) -> tuple[list[float], dict[str, lis
         for row in rows
         if row["scene"] == scene
     }
-    return places, {path: [found[path, x] for x in places] for path in PATHS}
+    return places, {path: [found[path, x] for x in places] for path in PAPER_PATHS}
 
 
 def better(a: float, b: float) -> bool:
@@ -188,7 +189,7 @@ def _least(rows: Sequence[Row], scenes: Sequence[str]) -> str:
 def _failures(rows: Sequence[Row]) -> str:
     words = {"slip": "needs too much friction", "strain": "too much strain", "not_visible": "stays hidden"}
     parts = []
-    for path, reason in product(PATHS, sorted({row["reason"] for row in rows} - {"ok"})):
+    for path, reason in product(PAPER_PATHS, sorted({row["reason"] for row in rows} - {"ok"})):
         count = sum(row["path"] == path and row["reason"] == reason for row in rows)
         if count:
             parts.append(f"{LOOKS[path][0]}: {count} {words.get(reason, reason)}")

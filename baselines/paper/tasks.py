@@ -15,7 +15,8 @@ from planners import NoPlan
 from planners.certify import Trial
 from planners.deform_closure import brute_force
 from planners.light_grip import LightGrip
-from planners.proposals import PATHS, along, stable_grasps
+from planners.paths import PATHS
+from planners.proposals import along, stable_grasps
 from planners.search import generate_and_test
 from retract_env.errors import ConfigError
 from retract_env.grasp import Grasp

@@ -16,6 +16,7 @@ from baselines.paper import grips, lines, paths, pruning, stiffness
 from baselines.paper.report import Claim, Report, paper_scene, percent, with_line, write
 from baselines.paper.studies import STUDIES
 from baselines.paper.tasks import Row, Task
+from planners.paths import PATHS
 from retract_env.spring import SpringModel
 
 WORK = {"fig7": 2, "fig8": 80, "fig9": 1, "fig11": 44, "fig12": 1250, "pruning": 6, "light_grip": 420}
@@ -117,6 +118,18 @@ def test_what_fails_is_worse_than_what_does_not() -> None:
     assert not paths.better(math.nan, math.nan)
     assert not paths.better(0.30, 0.303)
     assert paths.better(0.30, 0.31)
+
+
+@pytest.mark.parametrize("name", ["fig8", "fig11"])
+def test_a_further_kind_of_path_does_not_enter_the_papers_figures(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    study = STUDIES[name]
+    before = [key_of(task.work("coarse")) for task in study.tasks()]
+    monkeypatch.setitem(PATHS, "steep", PATHS["ctc"])
+    rows = rows_of(study.tasks(), LOWEST)
+    assert [key_of(task.work("coarse")) for task in study.tasks()] == before
+    assert len(write(study, rows, tmp_path, "coarse")) == 3
 
 
 @pytest.mark.parametrize(("veins", "agrees"), [(3, "yes"), (6, "in part")])
