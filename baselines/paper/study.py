@@ -15,8 +15,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from baselines.jobs.files import written_whole
+from baselines.jobs.journal import Row
 from baselines.jobs.version import code_version
-from baselines.paper.tasks import Row, Task
+from baselines.paper.experiments import Experiment
 from baselines.pictures.drawing import STYLE
 from retract_env.scene import LineOfSight, Scene, load_scene
 
@@ -52,12 +53,12 @@ class Report:
 
 @dataclass(frozen=True)
 class Study:
-    """Work to be done, and what is made of its rows."""
+    """Experiments to be done, and what is made of their rows."""
 
     name: str
     about: str
     """one line"""
-    tasks: Callable[[], list[Task]]
+    experiments: Callable[[], list[Experiment]]
     report: Callable[[Sequence[Row]], Report]
 
 
