@@ -27,12 +27,14 @@ TURN = 0.82
 STRETCH = 0.01
 """By how much the flap is drawn out where it would clear the line, over its length."""
 RADII = (0.16, 0.20, 0.24, 0.29, 0.37, 0.45, 0.60, 0.75, 1.00)
-"""Goal radius (Eq. 6) over the length: nearer and steeper lines have smaller ones. ..."""
+"""Goal radii (Eq. 6), over the length, for which PLACES and FIRST are given; nearer and steeper lines of
+sight have smaller ones. `python -m benchmarks.eased` fits both to random flaps and prints both."""
 PLACES = (0.31, 0.33, 0.42, 0.47, 0.53, 0.60, 0.70, 0.77, 0.80)
-"""... How far from the fixed end the grasp strains the tissue least then, over the length, ..."""
+"""Distance from the fixed end, over the length, of the grasp that strains the tissue least; for each of
+RADII."""
 FIRST = (0.26, 0.24, 0.16, 0.115, 0.082, 0.055, 0.038, 0.033, 0.036)
-"""... and about how much compression holds, over the height. Found by search on some hundred random flaps;
-veins matter less."""
+"""Compression, over the height, that about holds the flap there, for each of RADII; it is tried first. Veins
+matter less than the line of sight."""
 ASIDE = (0.0, -0.08, 0.08)
 """Where else a grasp is sought, over the length, if none holds there."""
 BOUNDS = (0.02, 0.4)
