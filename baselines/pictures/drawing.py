@@ -35,7 +35,7 @@ from retract_env.drawing.palette import (
     WEDGE,
     WHITE,
 )
-from retract_env.drawing.shapes import JawShapes, SectionTopology
+from retract_env.drawing.shapes import JawShapes, SectionTopology, sight_reach
 
 if TYPE_CHECKING:
     from planners.certify import Certificate
@@ -172,10 +172,8 @@ def draw_surroundings(
     camera, target = np.array(line.camera) * MM, np.array(line.target) * MM
     distance = float(np.linalg.norm(camera - target))
     away = (camera - target) / distance
-    room = [(y1 - 0.04 * length) / away[1], distance]
-    if away[0] < 0:
-        room.append((x0 + 0.04 * length - target[0]) / away[0])
-    end = target + min(room) * away
+    inside = 0.04 * length
+    end = target + sight_reach(target, away, distance, x0 + inside, y1 - inside) * away
     far = 1e2 * length
     wedge = np.array([target, target + far * away, (x0 - far, far), (x0 - far, 0.0)])
     axes.add_patch(Polygon(wedge, facecolor=WEDGE, edgecolor="none", zorder=0.5))

@@ -35,7 +35,7 @@ from baselines.pictures.drawing import (
     strain_map,
     view_limits,
 )
-from retract_env.drawing.palette import GREY, INK, LIMIT, SIGHT, STEEL, VALUE
+from retract_env.drawing.palette import GREY, HIDDEN_VEIL, INK, LIMIT, SIGHT, STEEL, VALUE
 from retract_env.drawing.shapes import SectionTopology, hidden_region
 from retract_env.spring import SpringModel
 
@@ -238,7 +238,7 @@ def _draw_motion(axes: Axes, plan: Plan, limits: tuple[float, float, float, floa
         axes.plot(*tracks[:, side].T, color=STEEL, linewidth=1.0, linestyle=(0, (1, 1.5)), zorder=2.8)
     outline = np.asarray(frames[-1].points)[topology.outline]
     shade = hidden_region(outline, scene.line_of_sight.camera) * MM
-    axes.add_patch(Polygon(shade, facecolor="#b4bbc2", edgecolor="none", alpha=0.75, zorder=2.3))
+    axes.add_patch(Polygon(shade, facecolor=HIDDEN_VEIL, edgecolor="none", zorder=2.3))
     reach = float(shade[-1, 0])  # the bed is hidden from here to the fixed end
     if reach / 2 - scene.line_of_sight.target[0] * MM > 4.0:
         bed_note(axes, reach / 2, "hidden", GREY)
