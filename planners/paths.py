@@ -25,7 +25,8 @@ Array = NDArray[np.float64]
 INCREMENTS = 24
 """Steps from the squeezed grasp to the pose where an ideal flap would clear the line of sight."""
 LONGEST = 8
-"""A path that would take more than this many times `increments` grows its steps; fewer lead to the goal."""
+"""Steps of the longest path, over `increments`. One that would have more gets longer steps instead, so that
+fewer of them lead to the goal."""
 MOST_TURN = 1.5 * math.pi
 """rad. CTC ends when the arc has turned so far that the jaws come down on the other side of its centre."""
 MOST_SWING = math.radians(170)

@@ -23,8 +23,7 @@ from retract_env.scene import LineOfSight, Scene, load_scene
 
 DPI = 160
 EQUAL = 0.02
-"""Strains that differ by less than this part are equal: the finite elements are no closer to the truth."""
-SCENES = Path(__file__).resolve().parents[2] / "configs" / "scenes"
+"""Strains that differ by less than this part count as equal: the finite elements know them no better."""
 
 Agreement = Literal["yes", "in part", "no"]
 
@@ -63,9 +62,8 @@ class Study:
 
 
 def paper_scene(name: str) -> Scene:
-    """A scene of configs/scenes. Raises SceneError where they are not beside the package, as in a
-    checkout."""
-    return load_scene(SCENES / f"{name}.yaml")
+    """A shipped scene, by its name. Raises SceneError for an unknown one."""
+    return load_scene(name)
 
 
 def with_line(scene: Scene, position: float, slope: float) -> Scene:

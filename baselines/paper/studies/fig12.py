@@ -37,8 +37,10 @@ SLOPES = (30, 45, 60, 75, 90)
 """degrees"""
 GRASPS = 50
 UNLIMITED = 5.0
-"""Friction limit of the runs, the highest of all; what the paper's one allows is sorted out afterwards."""
+"""Friction limit of the retractions, the highest that a scene may have: which of them a lower limit allows is
+read off the rows."""
 RANGE = (0.15, 0.45)
+"""Where the paper finds the best grasps, from the open end, as parts of the length."""
 
 
 def line_experiments(positions: Sequence[float], slopes: Sequence[float], grasps: int) -> list[Experiment]:

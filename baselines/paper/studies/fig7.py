@@ -25,10 +25,12 @@ from retract_env.spring import SpringModel
 Array = NDArray[np.float64]
 
 TOP = 15
+"""Grasps of each method that are compared."""
 FINE = 2001
 """Points of the spring model's curve in the picture."""
 SCENES = ("ten_veins", "twenty_veins")
 PAPER_AGREE = 8
+"""Of those, how many the paper finds in both."""
 
 
 class Rankings(NamedTuple):

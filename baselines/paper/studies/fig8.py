@@ -28,7 +28,7 @@ from retract_env.drawing.palette import GREY, INK, LIMIT, SIGHT, VALUE
 from retract_env.scene import Scene
 
 FAILED = 0.5
-"""Where the paper draws what fails."""
+"""Strain at which retractions that fail are drawn, as in the paper."""
 LOOKS = {
     "ctc": ("CTC", VALUE, "o"),
     "circular": ("circular", LIMIT, "s"),
