@@ -3,9 +3,10 @@
 Each line plays the spring model's best grasp and its CTC path, again and again, in one thread. Times are CPU
 times of that thread: steps a second in the retract phase, observation, reward and exposure included; a reset
 that closes the jaws, on a new flap and on the same again; and the first action of an episode with
-`grasp="agent"`, which meshes and squeezes. What a frame, the exposure and an observation cost ends the table.
+`grasp="agent"`, which meshes and squeezes. The last rows say what a
+frame, the exposure and an observation cost.
 
-Then what the two physics say to one and the same plan: for each scene the planner's best, played on both.
+A second table plays the best plan of each scene on both physics and says what becomes of it there.
 """
 
 from __future__ import annotations

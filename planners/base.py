@@ -13,7 +13,7 @@ from retract_env.grasp import Grasp, JawPath
 from retract_env.scene import Scene
 
 PROMISING = "promising"
-"""Reason of a candidate that would be certified, were its mesh not too coarse for that."""
+"""Reason of a candidate that keeps all limits, on a mesh that is too coarse for a certificate."""
 
 
 @dataclass

@@ -16,7 +16,8 @@ from retract_env.task import SLICES, actions
 
 Array = NDArray[np.float64]
 Policy = Callable[[NDArray[Any]], NDArray[Any]]
-"""From an observation to an action; it may remember what it saw since the observation with all time left."""
+"""From an observation to an action. It may remember what it saw in this episode, which began with the
+observation that has all its time left."""
 
 
 @dataclass(frozen=True)

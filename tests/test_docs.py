@@ -73,8 +73,40 @@ def test_examples_run(example: str, tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 @pytest.mark.parametrize("page", PAGES, ids=[str(page.relative_to(ROOT)) for page in PAGES])
 def test_links_lead_somewhere(page: Path) -> None:
-    for target in re.findall(r"\]\(([^)#\s]+)", page.read_text("utf-8")):
+    prose = re.sub(r"```.*?```", "", page.read_text("utf-8"), flags=re.DOTALL)
+    for target in re.findall(r"\]\(([^)#\s]+)", prose):
         assert target.startswith("https://") or (page.parent / target).exists(), target
+
+
+HOMES = ("retract_env", "planners", "baselines", "benchmarks", "configs", "docs", "tests")
+
+
+def paths_named(text: str) -> set[str]:
+    """Paths in a text: what begins with a folder of the tree, and every file of Python."""
+    folders = rf"(?<![\w./-])(?:{'|'.join(HOMES)})/[\w./*-]*"
+    named = re.findall(rf"{folders}|(?<![\w./-])[\w/-]+\.py\b", text)
+    modules = re.findall(r"python -m (benchmarks(?:\.\w+)+)", text)
+    return {name.rstrip(".") for name in named} | {f"{module.replace('.', '/')}.py" for module in modules}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=[str(page.relative_to(ROOT)) for page in PAGES])
+def test_paths_that_are_named_exist(page: Path) -> None:
+    named = paths_named(page.read_text("utf-8"))
+    assert [path for path in sorted(named) if not list(ROOT.glob(path))] == []
+
+
+@pytest.mark.parametrize("folder", ["retract_env", "planners", "baselines", "benchmarks"])
+def test_the_commands_that_sources_name_exist(folder: str) -> None:
+    for source in sorted((ROOT / folder).rglob("*.py")):
+        for module in re.findall(r"python -m ((?:\w+\.)+\w+)", source.read_text("utf-8")):
+            assert (ROOT / f"{module.replace('.', '/')}.py").exists(), f"{source}: {module}"
+
+
+def test_what_lives_where_names_every_folder() -> None:
+    """The table in how-it-works has a row for each room, so that a newcomer finds it."""
+    page = (ROOT / "docs" / "how-it-works.md").read_text("utf-8")
+    rooms = {p.parent.relative_to(ROOT).as_posix() for p in ROOT.glob("[!.]*/*/__init__.py")}
+    assert {room for room in rooms if f"`{room}/" not in page} == set()
 
 
 def table(text: str, heading: str) -> dict[str, dict[str, str]]:

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 FAILURES = tuple(reason for reason in REASONS if reason != "ok")
 REFERENCE = "ctc"
-"""The paper's planner: what it certifies is what others are asked to."""
+"""The paper's planner; the scenes where it certifies a retraction are those that others should solve too."""
 
 
 @dataclass(frozen=True)

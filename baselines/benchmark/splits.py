@@ -1,4 +1,5 @@
-"""The benchmark's frozen scenes: splits drawn from seeds, held to the hash that the configuration states."""
+"""The benchmark's frozen scenes: splits drawn from seeds and checked against the hashes in the
+configuration."""
 
 from __future__ import annotations
 

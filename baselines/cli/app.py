@@ -31,6 +31,7 @@ from baselines.cli.console import (
 )
 from baselines.cli.learning import commands as learning_commands
 from baselines.jobs.files import write_json, written_whole
+from baselines.paper.studies import STUDIES
 
 if TYPE_CHECKING:
     from planners.base import Plan
@@ -183,7 +184,7 @@ def certify_command(
 
 @app.command("reproduce")
 def reproduce_command(
-    name: Annotated[str, typer.Argument(help="fig7, fig8, fig9, fig11, fig12, pruning, light_grip, or all.")],
+    name: Annotated[str, typer.Argument(help=f"{', '.join(STUDIES)}, or all.")],
     out: Annotated[Path, typer.Option(help="Folder for tables, pictures and texts.")] = Path("docs/results"),
     workers: Annotated[
         int | None, typer.Option(min=1, help="Processes; as many as cores if not given.")

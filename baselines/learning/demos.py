@@ -26,7 +26,8 @@ from retract_env.scene import Scene, sample_scene
 Floats = NDArray[np.float32]
 
 SEED = 1
-"""What all seeds of demonstrated scenes begin with, so that no split of the benchmark shares a scene."""
+"""First number of every demonstrated scene's seed; the benchmark's splits have others, so no scene is in
+both."""
 ENV = "TissueRetractFEM-v0"
 KWARGS: dict[str, Any] = {"scene": "random", "grasp": "agent"}
 """The environment that the data set names."""

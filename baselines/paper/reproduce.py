@@ -13,10 +13,10 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from baselines.jobs.journal import Journal, Work, key_of, run_tasks
-from baselines.paper.report import write
-from baselines.paper.studies import STUDIES
-from baselines.paper.tasks import Row, Task, evaluate
+from baselines.jobs.journal import Journal, Row, Work, key_of, run_tasks
+from baselines.paper.experiments import Experiment, evaluate
+from baselines.paper.studies import STUDIES, study
+from baselines.paper.study import write
 from planners.search import cores
 from retract_env.errors import ConfigError
 
@@ -54,17 +54,17 @@ def reproduce(
     written = []
     with nullcontext() if cluster is None else connected(cluster):
         for name in asked:
-            study, journal = STUDIES[name], out / f".{name}.jsonl"
+            asked_for, journal = study(name), out / f".{name}.jsonl"
             if fresh:
                 journal.unlink(missing_ok=True)
-            title = f"{name}: {study.about}"
-            rows = done(study.tasks(), resolution, journal, workers, cluster is not None, title, console)
-            written += write(study, rows, out, resolution)
+            title, far = f"{name}: {asked_for.about}", cluster is not None
+            rows = done(asked_for.experiments(), resolution, journal, workers, far, title, console)
+            written += write(asked_for, rows, out, resolution)
     return written
 
 
 def done(
-    tasks: Sequence[Task],
+    experiments: Sequence[Experiment],
     resolution: str,
     journal: Path,
     workers: int,
@@ -72,10 +72,10 @@ def done(
     title: str,
     console: Console,
 ) -> list[Row]:
-    """Rows of all tasks, label and result, in their order, with the progress told on the console."""
-    works = [task.work(resolution) for task in tasks]
+    """Rows of all experiments, label and result, in their order, with the progress told on the console."""
+    works = [experiment.work(resolution) for experiment in experiments]
     rows = run_told(works, evaluate, journal, workers, cluster, title, console)
-    return [{**task.label, **row} for task, row in zip(tasks, rows, strict=True)]
+    return [{**experiment.label, **row} for experiment, row in zip(experiments, rows, strict=True)]
 
 
 def run_told(

@@ -29,7 +29,7 @@ LONGEST_STEP = 2.5e-3
 ON_TIME = 2e-5
 """m, the moment of visibility is met within this clearance."""
 MOST_TIMINGS = 12
-"""Solutions spent on that moment; tissue that snaps past the line never meets it."""
+"""Equilibria, at most, in search of that moment; tissue that snaps past the line never meets it."""
 MOST_HALVINGS = 6
 """How often an increment is halved to tell which of several things came first."""
 STRAIN_TOLERANCE = 5e-3
@@ -90,6 +90,7 @@ class Retraction:
         self.required_friction = 0.0
         self.physics: FemPhysics | None = None
         self.optimising = 0.0
+        """s spent on finding the path before the squeeze; added to the time of the squeeze"""
 
     @property
     def ended(self) -> bool:

@@ -1,4 +1,4 @@
-"""What is drawn of an episode: frames, small images, the window. The first of them imports pygame."""
+"""Pictures of an episode: frames, small images, a window. pygame is imported when the first is drawn."""
 
 from __future__ import annotations
 

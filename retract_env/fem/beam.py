@@ -1,7 +1,8 @@
 """First guess of how a flap follows its jaws: as a beam, whose sections turn and stay plane.
 
-The tangent's guess is straight: where jaws turn by 6 degrees, it stretches by 0.5 % what ought to turn.
-Turning sections by finite angles costs no factorisation and leaves a residual that one factorisation settles.
+The tangent guesses that nodes move straight: where jaws turn by 6 degrees, it stretches tissue by 0.5 % that
+only turns. Turning the sections by finite angles needs no factorisation, and one factorisation then corrects
+what is left.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ Array = NDArray[np.float64]
 SECTIONS = 65
 """Sections between the fixed end and the jaws."""
 ROUNDS = 6
-"""of Newton's method for bend and stretch, which converges in three or four"""
+"""Iterations of Newton's method for bend and stretch, at most; it converges in three or four."""
 
 
 class BeamGuess:

@@ -20,14 +20,13 @@ from retract_env.objectives import WORST_FRACTION
 Array = NDArray[np.float64]
 
 STRAIN_TOLERANCE = 1e-5
-"""The error that is left has no more energy than this strain has in the worst-strained 1 % of the flap's
-volume."""
+"""Newton stops once the error's energy is below that of this strain in 1 % of the flap's volume."""
 MOST_SHIFTS = 20
 """Tries to make a tangent positive definite, each with ten times the shift of the one before."""
 SLOW = 0.7
-"""Factorise anew once an iteration shrinks the residual by less than this."""
+"""An iteration that leaves more than this part of the residual is followed by a new factorisation."""
 MEMORY = 6
-"""Steps from which an old factorisation learns how the tangent has changed."""
+"""Latest steps with which L-BFGS corrects an old factorisation."""
 
 
 class Equilibrium:

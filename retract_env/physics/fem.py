@@ -29,7 +29,7 @@ SMALLEST_CUT = 1 / 64
 FIRST_PART = 0.3
 """Part of a step that is tried first after a corner of the path."""
 MEMORY = 4
-"""Equilibria that the extrapolating predictor looks back on."""
+"""Latest equilibria of a path that the next one is extrapolated from."""
 
 
 class FemPhysics:
@@ -46,8 +46,9 @@ class FemPhysics:
         resolution: str | Resolution = "fine",
         stop_when: Callable[[TissueState], bool] | None = None,
     ):
-        """jaw_x: m, where the jaws grasp; stop_when: asked after each part of a move that has to be cut, and
-        where it says so the move ends there. Raises MeshError, and ValueError for an unknown resolution."""
+        """jaw_x: m, where the jaws grasp; stop_when: called with the state after each part of a move
+        that has to be cut; the move ends there if it returns True. Raises MeshError, and ValueError for an
+        unknown resolution."""
         if isinstance(resolution, str):
             if resolution not in RESOLUTIONS:
                 raise ValueError(f"resolution = {resolution!r}, allowed {', '.join(RESOLUTIONS)}")
@@ -169,7 +170,7 @@ class FemPhysics:
         self.equilibrium.usable = False
 
     def close(self) -> None:
-        """Nothing is held that would not go by itself."""
+        """Nothing to give back: this physics holds only memory of Python's own."""
 
     def turn(self) -> None:
         """Say that the path has a corner here: what came before does not predict what follows."""

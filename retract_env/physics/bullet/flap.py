@@ -36,19 +36,21 @@ from retract_env.scene import Scene
 Array = NDArray[np.float64]
 
 STRIDE, TURN = 2e-3, float(np.radians(6.0))
-"""m and rad, farthest move of the gripper in `BulletResolution.steps`; longer moves take more of them."""
+"""m and rad: the farthest that the gripper goes in one stride, of `BulletResolution.steps` time steps. A
+longer move is made in several strides."""
 PARTS = 2
 """Parts of a stride, each of which begins with a prediction."""
 LOOKS = 2
-"""How often in a part, equally spaced, the kinetic energy is looked at."""
+"""Times in each part of a stride, equally spaced, that the kinetic energy is looked at."""
 COURANT = 0.7
 """Time step over the longest stable one; above sqrt(1/2) a stop adds energy to the fastest vibrations."""
 QUARTER_SWING = 0.03
-"""s, of Bullet's time, in which a hanging flap's slowest swing is at its fastest once."""
+"""s of Bullet's time, a quarter of a hanging flap's slowest swing: at some moment in it the swing is
+fastest."""
 SMALLEST_CUT = 1 / 64
 """Part of a move below which it is not cut any further."""
 LIFTED = 3e-4
-"""m, the bed is left out while the flap is higher than this, but for what is next to the fixed end."""
+"""m. The bed is taken away while all of the flap is higher than this, except next to the fixed end."""
 
 
 @dataclass(frozen=True)
@@ -87,8 +89,8 @@ class BulletPhysics:
         resolution: str | BulletResolution = "medium",
         stop_when: Callable[[TissueState], bool] | None = None,
     ):
-        """jaw_x: m, where the jaws grasp; stop_when: asked of the farthest state on the way of a move that
-        cannot be made whole, and where it says so the move ends there.
+        """jaw_x: m, where the jaws grasp; stop_when: called with the farthest state that is
+        reached by a move which cannot be completed; the move ends there if it returns True.
 
         Raises ImportError, one line, without pybullet, and ValueError as `tet_mesh`.
         """
