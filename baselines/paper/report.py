@@ -18,12 +18,12 @@ from baselines.jobs.files import written_whole
 from baselines.jobs.version import code_version
 from baselines.paper.tasks import Row, Task
 from baselines.pictures.drawing import STYLE
+from retract_env.config import CONFIGS
 from retract_env.scene import LineOfSight, Scene, load_scene
 
 DPI = 160
 EQUAL = 0.02
 """Strains that differ by less than this part are equal: the finite elements are no closer to the truth."""
-SCENES = Path(__file__).resolve().parents[2] / "configs" / "scenes"
 
 Agreement = Literal["yes", "in part", "no"]
 
@@ -62,9 +62,8 @@ class Study:
 
 
 def paper_scene(name: str) -> Scene:
-    """A scene of configs/scenes. Raises SceneError where they are not beside the package, as in a
-    checkout."""
-    return load_scene(SCENES / f"{name}.yaml")
+    """A shipped scene, by its name."""
+    return load_scene(CONFIGS / "scenes" / f"{name}.yaml")
 
 
 def with_line(scene: Scene, position: float, slope: float) -> Scene:
