@@ -33,7 +33,6 @@ from retract_env.scene import Scene, load_scene
 
 Array = NDArray[np.float64]
 
-SCENES = Path(__file__).resolve().parents[1] / "configs" / "scenes"
 STORED = Path(__file__).with_name("reference.json")
 SQUEEZE = 4
 """increments"""
@@ -72,7 +71,7 @@ class Case:
         return self.load()[0].tissue.length
 
     def load(self) -> tuple[Scene, JawPath]:
-        scene, grasp = load_scene(SCENES / f"{self.scene}.yaml"), Grasp(self.x, self.compression)
+        scene, grasp = load_scene(self.scene), Grasp(self.x, self.compression)
         if self.kind.startswith("linear"):
             slope = math.radians(float(self.kind.removeprefix("linear")))
             return scene, paths.linear(scene, grasp, slope, self.increments)

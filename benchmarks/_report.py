@@ -10,8 +10,9 @@ from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from retract_env.threads import ONE_THREAD
+
 ROOT = Path(__file__).resolve().parents[1]
-THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
 PACKAGES = ("numpy", "scipy", "numba", "netgen-mesher", "pypardiso")
 BUSY = 0.5
 """load over which times are not to be trusted"""
@@ -70,7 +71,7 @@ def on_one_thread(module: str, arguments: Sequence[str]) -> None:
 
     NumPy reads these variables when it is first imported. Does not return where a process was started.
     """
-    if any(os.environ.get(name) != "1" for name in THREADS):
-        environment = os.environ | dict.fromkeys(THREADS, "1")
+    if any(os.environ.get(name) != "1" for name in ONE_THREAD):
+        environment = os.environ | dict.fromkeys(ONE_THREAD, "1")
         command = [sys.executable, "-m", module, *arguments]
         sys.exit(subprocess.run(command, env=environment, cwd=ROOT).returncode)

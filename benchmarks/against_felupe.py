@@ -15,7 +15,6 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
@@ -35,7 +34,7 @@ from retract_env.scene import load_scene
 
 Array = NDArray[np.float64]
 
-SCENE = Path(__file__).resolve().parents[1] / "configs" / "scenes" / "homogeneous.yaml"
+SCENE = "homogeneous"
 GRASP = Grasp(x=-0.025, compression=0.0011)
 SQUEEZE, MOTION = 4, 12
 """increments"""

@@ -16,7 +16,6 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks._reference import SCENES
 from benchmarks._report import machine, progress, table
 from planners.paths import ctc
 from retract_env.grasp import Grasp
@@ -105,7 +104,7 @@ def retract(physics: Physics, poses: Sequence[Array]) -> Run:
 
 
 def compare(name: str, repeats: int) -> None:
-    scene = load_scene(SCENES / f"{name}.yaml")
+    scene = load_scene(name)
     poses = steps(scene)
     progress(f"{name}, finite elements at fine")
     fine = FemPhysics(scene, GRASP.x, "fine")

@@ -13,7 +13,7 @@ import sys
 import time
 from collections.abc import Sequence
 
-from benchmarks._report import ROOT, machine, on_one_thread, progress, table
+from benchmarks._report import machine, on_one_thread, progress, table
 from planners.certify import Trial
 from planners.elastica.grip import measured_grip
 from planners.elastica.planner import Elastica
@@ -23,7 +23,6 @@ from planners.proposals import stable_grasps
 from retract_env.grasp import Grasp
 from retract_env.scene import LineOfSight, Scene, load_scene
 
-SCENES = ROOT / "configs" / "scenes"
 LINES = {
     "homogeneous": ((0.25, 45), (0.15, 45), (0.1, 75)),
     "ten_veins": ((0.25, 45),),
@@ -88,7 +87,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--resolution", default="fine", help="of the certificates; default: %(default)s")
     options = parser.parse_args(arguments)
     print(machine())
-    warm = load_scene(SCENES / "homogeneous.yaml")
+    warm = load_scene("homogeneous")
     grasp = Grasp(-0.7 * warm.tissue.length, warm.tissue.height / 4)
     grip = measured_grip(warm, grasp)  # loads the kernels
     start = time.process_time()
@@ -98,7 +97,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for name in options.scenes:
         for target, slope in LINES[name]:
             progress(f"{name}, line to {target:.0%} at {slope} degrees")
-            scene = load_scene(SCENES / f"{name}.yaml")
+            scene = load_scene(name)
             line = LineOfSight.at(-target * scene.tissue.length, math.radians(slope))
             scene = scene.model_copy(update={"line_of_sight": line})
             rows = [row(scene, grasp, options.resolution) for grasp in stable_grasps(scene)]

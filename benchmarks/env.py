@@ -16,7 +16,6 @@ import platform
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,7 +27,6 @@ from retract_env.objectives import exposure
 from retract_env.rollout import PathPolicy, rollout
 from retract_env.scene import Scene, load_scene, sample_scene
 
-SCENES = Path(__file__).resolve().parent.parent / "configs" / "scenes"
 RUNS = (
     ("fem", "coarse", "homogeneous"),
     ("fem", "coarse", "random"),
@@ -66,10 +64,10 @@ def timed(work: Callable[[], object]) -> float:
 
 
 def scene_of(name: str, seed: int) -> Scene:
-    """A scene of configs/scenes, or a random one."""
+    """A shipped scene, or a random one."""
     if name == "random":
         return sample_scene(np.random.default_rng(seed))
-    return load_scene(SCENES / f"{name}.yaml")
+    return load_scene(name)
 
 
 def episode(env: TissueRetractEnv, scene: Scene, times: Times) -> None:
@@ -107,7 +105,7 @@ def measure(physics: str, resolution: str, name: str, seconds: float) -> tuple[T
 
 def play(name: str) -> None:
     """Play the planner's best plan of one scene on each physics, a line each."""
-    scene = load_scene(SCENES / f"{name}.yaml")
+    scene = load_scene(name)
     best = plan(scene, resolution="coarse", workers=1)
     for physics, resolution in PLAYED:
         env = TissueRetractEnv(physics, scene=scene, resolution=resolution)

@@ -10,7 +10,6 @@ import argparse
 import time
 from collections.abc import Sequence
 
-from benchmarks._reference import SCENES
 from benchmarks._report import machine, progress, table
 from planners import NoPlan, plan
 from retract_env.scene import load_scene
@@ -22,7 +21,7 @@ PLANNERS = ("fem_gradient", "eased", "light_grip", "ctc")
 def row(name: str, planner: str, workers: int) -> tuple[object, ...]:
     """One line of the table."""
     progress(f"{planner}, {name}")
-    scene = load_scene(SCENES / f"{name}.yaml")
+    scene = load_scene(name)
     wall, cpu = time.perf_counter(), time.process_time()
     found: list[str]
     try:
@@ -44,7 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--workers", type=int, default=2, help="default: %(default)s")
     options = parser.parse_args(arguments)
     print(machine())
-    plan(load_scene(SCENES / "homogeneous.yaml"), "eased", "coarse", 1)  # loads the kernels
+    plan(load_scene("homogeneous"), "eased", "coarse", 1)  # loads the kernels
     rows = [row(name, planner, options.workers) for name in options.scenes for planner in options.planners]
     head = ("scene", "planner", "eps_max", "friction", "x mm", "compression / h", "wall s", "cpu s")
     print(f"\n{options.workers} workers, at fine\n\n{table(head, rows)}", flush=True)

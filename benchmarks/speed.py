@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TypeVar
 from unittest.mock import patch
 
-from benchmarks._reference import CASES, SCENES, SQUEEZE, Case
+from benchmarks._reference import CASES, SQUEEZE, Case
 from benchmarks._report import ROOT, machine, progress, table
 from planners import NoPlan, Plan, plan
 from planners.search import PRUNING, generate_and_test
@@ -79,7 +79,7 @@ def planned(name: str, pruning: str, workers: int) -> Plan | NoPlan:
     told = partial(generate_and_test, pruning=pruning)
     with patch("planners.search", told):
         try:
-            return plan(load_scene(SCENES / f"{name}.yaml"), workers=workers)
+            return plan(load_scene(name), workers=workers)
         except NoPlan as none:
             return none
 
@@ -133,7 +133,7 @@ def run_process(arguments: Sequence[str], cache: str) -> tuple[float, float]:
 def processes(budget: float) -> None:
     rows: list[tuple[object, ...]] = []
     with tempfile.TemporaryDirectory() as folder:
-        command = ["plan", str(SCENES / f"{COLD}.yaml"), "--out", str(Path(folder) / "out")]
+        command = ["plan", COLD, "--out", str(Path(folder) / "out")]
         kinds = {
             "plan, kernels not yet compiled": (command, 0.0),
             "plan, kernels cached": (command, budget),

@@ -14,7 +14,6 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 
-from benchmarks._reference import SCENES
 from benchmarks._report import ROOT, machine, progress, table
 from planners import NoPlan, plan
 from planners.deform_closure import NODES, PAIRS, brute_force
@@ -36,7 +35,7 @@ def timed(work: Callable[[], object]) -> tuple[str, str]:
 def stiffness(flaps: Sequence[str]) -> None:
     rows: list[tuple[str, ...]] = []
     for name in flaps:
-        scene = load_scene(SCENES / f"{name}.yaml")
+        scene = load_scene(name)
         brute_force(scene, 3, 200)
         progress(f"{PAIRS} pairs at {NODES} nodes, {name}")
         rows.append((name, "brute force", *timed(lambda s=scene: brute_force(s)), AIMS["brute force"]))  # type: ignore[misc]
@@ -49,7 +48,7 @@ def stiffness(flaps: Sequence[str]) -> None:
 def searches(flaps: Sequence[str], names: Sequence[str], workers: int) -> None:
     rows: list[tuple[object, ...]] = []
     for name in flaps:
-        scene = load_scene(SCENES / f"{name}.yaml")
+        scene = load_scene(name)
         for planner in names:
             progress(f"{planner} on {name}")
             cpu, start = time.process_time(), time.perf_counter()

@@ -9,7 +9,9 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from planners.certify import Certificate
+from retract_env.config import brief, unknown_keys
 from retract_env.grasp import Grasp, JawPath
+from retract_env.mesh import RESOLUTIONS
 from retract_env.scene import Scene
 
 PROMISING = "promising"
@@ -83,15 +85,30 @@ class Plan:
 
 
 def plan_from_json(data: Mapping[str, Any]) -> tuple[Scene, Grasp, JawPath]:
-    """Scene, grasp and path of a plan's file. Raises ValueError, one line, for anything else."""
+    """Scene, grasp and path of a plan's file, which may tell no more than `Plan.to_json` does.
+
+    Raises ValueError, one line, for anything else.
+    """
     if not isinstance(data, Mapping) or not {"scene", "grasp", "path"} <= set(data):
         raise ValueError("plan: allowed is an object with scene, grasp and path")
+    known = ("scene", "planner", "grasp", "path", "resolution", "candidates")
+    if faults := unknown_keys(data, known):
+        raise ValueError("plan" + faults[0])
+    if (resolution := data.get("resolution", "fine")) not in list(RESOLUTIONS):
+        raise ValueError(f"plan.resolution = {brief(resolution)}, allowed {', '.join(RESOLUTIONS)}")
+    if not isinstance(planner := data.get("planner", ""), str):
+        raise ValueError(f"plan.planner = {brief(planner)}, allowed a text")
+    candidates = data.get("candidates", [])
+    if not isinstance(candidates, list) or not all(isinstance(c, Mapping) for c in candidates):
+        raise ValueError(f"plan.candidates = {brief(candidates)}, allowed a list of objects")
     grasp = data["grasp"]
     numbers = (int, float)
     if not isinstance(grasp, Mapping) or not all(
         isinstance(grasp.get(k), numbers) and not isinstance(grasp.get(k), bool) for k in ("x", "compression")
     ):
         raise ValueError("plan.grasp: allowed is an object with the numbers x and compression")
+    if faults := unknown_keys(grasp, ("x", "compression")):
+        raise ValueError("plan.grasp" + faults[0])
     path = JawPath.from_json(data["path"])
     return Scene.from_data(data["scene"]), Grasp(float(grasp["x"]), float(grasp["compression"])), path
 

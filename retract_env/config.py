@@ -1,4 +1,4 @@
-"""Values checked once, where they enter: ranges, immutable models, YAML files, errors of one line.
+"""Values checked once, where they enter: ranges, immutable models, files, errors of one line.
 
 An error names the field, the value and what is allowed, as in `tissue.height = -0.0044 m, allowed
 (0, 0.05] m`. A fault is what follows the path of its field: it starts with " = ", ": ", "[2]" or ".key".
@@ -7,9 +7,12 @@ An error names the field, the value and what is allowed, as in `tissue.height = 
 from __future__ import annotations
 
 import difflib
+import json
 import math
 import re
 import reprlib
+import stat
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from numbers import Real
 from pathlib import Path
@@ -140,6 +143,20 @@ def _name(value: Any) -> Any:
 
 Listed = BeforeValidator(_listed)
 """Marks a tuple that is given as a list, a tuple or an array."""
+
+
+def listed(most: int) -> BeforeValidator:
+    """As `Listed`, of `most` items at most; they are counted before any is looked at."""
+
+    def check(value: Any) -> Any:
+        value = _listed(value)
+        if len(value) > most:
+            raise refusal(f": {len(value)} items, allowed at most {most}")
+        return value
+
+    return BeforeValidator(check)
+
+
 Paired = BeforeValidator(_pair)
 """Marks a point (x, y) m, given likewise."""
 Flag = Annotated[bool, BeforeValidator(_bool)]
@@ -147,6 +164,18 @@ Name = Annotated[str, BeforeValidator(_name)]
 
 
 # --- Models
+
+
+def unknown_keys(data: Iterable[object], known: Sequence[str]) -> list[str]:
+    """A fault for each key of a mapping that it may not have."""
+    faults = []
+    for key in data:
+        if key not in known:
+            shown = key if isinstance(key, str) and key.isidentifier() and len(key) <= 60 else brief(key)
+            close = difflib.get_close_matches(str(shown), known, n=1)
+            guess = f", did you mean {close[0]}?" if close else ";"
+            faults.append(f".{shown}: unknown key{guess} known keys: {', '.join(known)}")
+    return faults
 
 
 class Frozen(BaseModel):
@@ -173,14 +202,7 @@ class Frozen(BaseModel):
             return data
         if not isinstance(data, dict):
             raise refusal(f" = {brief(data)}, not a mapping; known keys: {', '.join(known)}")
-        faults = []
-        for key in data:
-            if key not in known:
-                shown = key if isinstance(key, str) and key.isidentifier() else brief(key)
-                close = difflib.get_close_matches(str(shown), known, n=1)
-                guess = f", did you mean {close[0]}?" if close else ";"
-                faults.append(f".{shown}: unknown key{guess} known keys: {', '.join(known)}")
-        if faults:
+        if faults := unknown_keys(data, known):
             raise refusal(*faults)
         return data
 
@@ -195,9 +217,49 @@ class Frozen(BaseModel):
 
 # --- Files
 
+LARGEST = 2**20
+"""Bytes of a file that is read. The largest shipped scene has 6 kB, a plan of 200 candidates 50 kB."""
+MOST_VALUES = 20_000
+"""Keys and values in a YAML file, aliases written out: 20 times the largest shipped scene; reading them takes
+a second."""
+LONGEST_VALUE = 1000
+"""Characters of one of them; a name may have 100."""
+DEEPEST = 20
+"""Lists and mappings within each other; a scene has 6."""
+
 
 class _Loader(yaml.SafeLoader):
-    """YAML's safe subset in which keys do not repeat and 1e-3 is a number, as in YAML 1.2."""
+    """YAML's safe subset in which keys do not repeat and 1e-3 is a number, as in YAML 1.2.
+
+    A few lines may stand for any number of values, by aliases of aliases and merge keys: they are counted as
+    if they were written out, before any is.
+    """
+
+    def __init__(self, stream: str) -> None:
+        super().__init__(stream)
+        self._depth = self._count = 0
+        self._counts: dict[yaml.Node, int] = {}
+
+    def compose_node(self, parent: Any, index: Any) -> yaml.Node | None:
+        event: Any = self.peek_event()  # type: ignore[no-untyped-call]
+        before = self._count
+        if isinstance(event, yaml.ScalarEvent) and len(event.value) > LONGEST_VALUE:
+            raise _fault(f"{len(event.value)} characters, allowed {LONGEST_VALUE}", event)
+        self._depth += 1
+        if self._depth > DEEPEST:
+            raise _fault(f"lists and mappings more than {DEEPEST} deep", event)
+        self._count += 1
+        node = super().compose_node(parent, index)
+        self._depth -= 1
+        if isinstance(event, yaml.AliasEvent):
+            if node not in self._counts:
+                raise _fault(f"alias {event.anchor} within what it stands for", event)
+            self._count = before + self._counts[node]
+        elif node is not None:
+            self._counts[node] = self._count - before
+        if self._count > MOST_VALUES:
+            raise _fault(f"more than {MOST_VALUES} keys and values, aliases written out", event)
+        return node
 
     def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:
         node = super().compose_mapping_node(anchor)
@@ -208,6 +270,10 @@ class _Loader(yaml.SafeLoader):
                     raise yaml.MarkedYAMLError(None, None, f"key {key.value} given twice", key.start_mark)
                 seen.add(key.value)
         return node
+
+
+def _fault(problem: str, event: Any) -> yaml.MarkedYAMLError:
+    return yaml.MarkedYAMLError(None, None, problem, event.start_mark)
 
 
 _Loader.add_implicit_resolver(
@@ -228,31 +294,69 @@ def config_file(name: str | PathLike[str], folder: str) -> Path:
     Raises ConfigError where there is neither, with the names that there are.
     """
     path = Path(name)
-    shipped = CONFIGS / folder / f"{path}.yaml"
-    if path.exists() or path.suffix or len(path.parts) != 1:
-        return path
-    if shipped.is_file():
-        return shipped
+    try:
+        if path.suffix or len(path.parts) != 1 or (path.exists() and not path.is_dir()):
+            return path
+        shipped = CONFIGS / folder / f"{path}.yaml"
+        if shipped.is_file():
+            return shipped
+        if path.exists():
+            return path
+    except OSError as error:  # a name that is too long
+        raise ConfigError((error.strerror or str(error)).lower()) from None
     known = sorted(file.stem for file in (CONFIGS / folder).glob("*.yaml"))
     raise ConfigError(f"no such file, and none of the shipped ones: {', '.join(known)}")
 
 
 def read_yaml(path: str | PathLike[str]) -> Any:
     """Plain data in a YAML file. Raises ConfigError; whoever passes it on puts the file's name before it."""
+    text = _read_text(path)
     try:
-        text = Path(path).read_text(encoding="utf-8-sig")
         data: Any = yaml.load(text, Loader=_Loader)
-    except OSError as error:
-        raise ConfigError((error.strerror or str(error)).lower()) from None
-    except UnicodeDecodeError as error:
-        raise ConfigError(f"not UTF-8 text (byte {error.start})") from None
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         where = f", line {mark.line + 1}, column {mark.column + 1}" if mark else ""
         problem = getattr(error, "problem", None) or getattr(error, "reason", None) or str(error)
         raise ConfigError(f"not readable as YAML{where}: {problem}") from None
-    except (ValueError, RecursionError) as error:  # no such date, an endless integer, nesting too deep
+    except (ValueError, RecursionError) as error:  # no such date, an endless integer
         raise ConfigError(f"not readable as YAML: {error}") from None
     if data is None:
         raise ConfigError("the file is empty")
     return data
+
+
+def read_json(path: str | PathLike[str]) -> Any:
+    """Plain data in a JSON file whose keys do not repeat. Raises ConfigError as `read_yaml`."""
+
+    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        data = dict(pairs)
+        if len(data) < len(pairs):
+            twice = next(key for k, (key, _) in enumerate(pairs) if key in dict(pairs[:k]))
+            raise ValueError(f"key {brief(twice)} given twice")
+        return data
+
+    text = _read_text(path)
+    try:
+        return json.loads(text, object_pairs_hook=once)
+    except (ValueError, RecursionError) as error:
+        raise ConfigError(f"not readable as JSON: {error}") from None
+
+
+def _read_text(path: str | PathLike[str]) -> str:
+    """A device or a pipe could go on for ever, or keep who opens it waiting. Raises ConfigError."""
+    path = Path(path)
+    try:
+        status = path.stat()
+        if not stat.S_ISREG(status.st_mode) and not stat.S_ISDIR(status.st_mode):
+            raise ConfigError("not a file on a disk, but a device or a pipe")
+        with path.open("rb") as file:
+            content = file.read(LARGEST + 1)
+        if len(content) > LARGEST:
+            raise ConfigError(f"{max(len(content), status.st_size)} bytes, allowed {LARGEST}")
+        return content.decode("utf-8-sig")
+    except OSError as error:
+        raise ConfigError((error.strerror or str(error)).lower()) from None
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"not UTF-8 text (byte {error.start})") from None
+    except ValueError as error:  # a path with a null character; ConfigError is one, too
+        raise ConfigError(str(error)) from None

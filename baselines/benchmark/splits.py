@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field
 
 from baselines.learning.recipe import whole
-from retract_env.config import Frozen, Listed, brief, read_yaml, refusal
+from retract_env.config import Frozen, Listed, brief, config_file, read_yaml, refusal
 from retract_env.errors import ConfigError
 from retract_env.scene import Scene, sample_scene
 from retract_env.scene.sampling import SceneRanges
@@ -96,8 +96,8 @@ def hash_of(scenes: list[Scene]) -> str:
 
 
 def load_benchmark(path: str | PathLike[str]) -> Benchmark:
-    """Benchmark from a YAML file. Raises BenchmarkError, naming the file."""
+    """Benchmark from a YAML file, or the shipped one, "benchmark". Raises BenchmarkError, naming the file."""
     try:
-        return Benchmark.from_data(read_yaml(path))
+        return Benchmark.from_data(read_yaml(config_file(path, "")))
     except ConfigError as error:
         raise BenchmarkError(f"{path}: {error}") from None

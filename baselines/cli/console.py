@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -9,6 +11,9 @@ from pathlib import Path
 import typer
 
 from baselines.jobs.files import output_folder
+
+RESULTS = Path("results")
+"""Where studies and comparisons go unless told otherwise; a checkout keeps what it shows in docs/results."""
 
 
 class BadInput(Exception):
@@ -41,13 +46,62 @@ def writing(path: Path) -> Iterator[None]:
         raise BadInput(f"cannot write {problem.filename or path}: {why(problem)}") from None
 
 
+COMPILATION = 20.0
+"""s that the first run usually compiles for, on the two cores of a virtual machine."""
+TOLD_EVERY = 5.0
+"""s between two lines about it, where there is no terminal to draw a bar in."""
+
+
 def announce_compilation() -> None:
-    """Numba compiles the kernels on the first run, for long enough that a user wonders."""
+    """Have the kernels compiled if they never were, and show it: it takes long enough that a user wonders."""
     import retract_env.fem
 
-    cached = getattr(retract_env.fem, "kernels_are_cached", None)
-    if cached is not None and not cached():
-        typer.echo("first run: compiling the finite-element kernels, which are then kept")
+    if retract_env.fem.kernels_are_cached():
+        return
+    from numba.core.event import install_recorder
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    console, start, over = Console(), time.monotonic(), threading.Event()
+    typer.echo(
+        f"first run: compiling the finite-element kernels, some {COMPILATION:.0f} s; they are then kept"
+    )
+    columns = BarColumn(), TimeElapsedColumn(), TextColumn("{task.description}")
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("", total=COMPILATION)
+
+        def tell() -> None:
+            while not over.wait(0.2 if console.is_terminal else TOLD_EVERY):
+                seconds = time.monotonic() - start
+                begun = [event.data["dispatcher"].py_func for _, event in recorder.buffer]
+                ours = [function for function in begun if function.__module__.startswith("retract_env.")]
+                kernel = ours[-1].__name__ if ours else "starting"
+                bar.update(task, completed=seconds, description=kernel)
+                if not console.is_terminal:
+                    typer.echo(f"  {seconds:.0f} s of some {COMPILATION:.0f}, now {kernel}")
+
+        with install_recorder("numba:compile") as recorder:
+            teller = threading.Thread(target=tell, daemon=True)
+            teller.start()
+            try:
+                _use_every_kernel()
+            finally:
+                over.set()
+                teller.join()
+
+
+def _use_every_kernel() -> None:
+    """The beginning of a retraction, on the coarsest mesh: numba compiles what is called."""
+    from planners import certify
+    from planners.paths import ctc
+    from retract_env.grasp import JawPath
+    from retract_env.scene import load_scene
+    from retract_env.spring import SpringModel
+
+    scene = load_scene("ten_veins")
+    grasp = SpringModel(scene.tissue).stable_grasps()[0]
+    path = ctc(scene, grasp)
+    certify(scene, grasp, JawPath(path.waypoints[:4], path.kind), "coarse")
 
 
 def why(problem: OSError) -> str:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from baselines.cli.console import BadInput, announce_compilation, exit_codes, usable_folder, writing
+from baselines.cli.console import RESULTS, BadInput, announce_compilation, exit_codes, usable_folder, writing
 
 if TYPE_CHECKING:
     from baselines.learning.recipe import Recipe
@@ -21,14 +21,15 @@ commands = typer.Typer()
 EXTRA = ("minari", "rliable", "sb3_contrib", "stable_baselines3", "tensorboard", "torch")
 """Packages of the extra `rl`."""
 
-CONFIGS = Path("configs")
+BENCHMARK = Path("benchmark")
+"""The shipped one."""
 RUNS = Path("runs")
 Algorithm = Literal["ppo", "sac", "tqc", "bc"]
 JobsOption = Annotated[int | None, typer.Option(min=1, help="Processes; as many as cores if not given.")]
 ClusterOption = Annotated[
     str | None, typer.Option(metavar="ADDRESS", help="Ray cluster that does the work, or `auto`.")
 ]
-BenchmarkOption = Annotated[Path, typer.Option("--benchmark", help="The frozen scenes.")]
+BenchmarkOption = Annotated[Path, typer.Option("--benchmark", help="The frozen scenes, a YAML file.")]
 
 
 @commands.command("demos")
@@ -73,8 +74,8 @@ def demos_command(
 
 @commands.command("train")
 def train_command(
-    algorithm: Annotated[Algorithm, typer.Argument(help="Its recipe is configs/train/ALGORITHM.yaml.")],
-    config: Annotated[Path | None, typer.Option(help="Another recipe.")] = None,
+    algorithm: Annotated[Algorithm, typer.Argument(help="Its recipe is the shipped one of that name.")],
+    config: Annotated[Path | None, typer.Option(help="Another recipe, a YAML file or a shipped one.")] = None,
     seed: Annotated[int | None, typer.Option(min=0, help="0 if not given.")] = None,
     steps: Annotated[int | None, typer.Option(min=1, help="Instead of the recipe's.")] = None,
     envs: Annotated[
@@ -89,7 +90,7 @@ def train_command(
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Folder; runs/ALGORITHM-SEED if not given.")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with the run in --out.")] = False,
-    benchmark: BenchmarkOption = CONFIGS / "benchmark.yaml",
+    benchmark: BenchmarkOption = BENCHMARK,
 ) -> None:
     """Train an agent. A run that was killed goes on with --resume and ends as it would have ended."""
     with exit_codes(), _expected():
@@ -132,7 +133,7 @@ def evaluate_command(
     scenes: Annotated[int | None, typer.Option(min=1, help="Only so many.")] = None,
     transfer: Annotated[bool, typer.Option("--transfer", help="Play it on Bullet too.")] = False,
     jobs: JobsOption = None,
-    benchmark: BenchmarkOption = CONFIGS / "benchmark.yaml",
+    benchmark: BenchmarkOption = BENCHMARK,
 ) -> None:
     """Certify what a trained policy does on frozen scenes."""
     with exit_codes(), _expected():
@@ -167,10 +168,10 @@ def benchmark_command(
     transfer: Annotated[
         bool, typer.Option("--transfer/--no-transfer", help="Whether policies are played on Bullet too.")
     ] = True,
-    out: Annotated[Path, typer.Option(help="Folder for the report, and the journal.")] = Path("docs/results"),
+    out: Annotated[Path, typer.Option(help="Folder for the report, and the journal.")] = RESULTS,
     jobs: JobsOption = None,
     cluster: ClusterOption = None,
-    benchmark: BenchmarkOption = CONFIGS / "benchmark.yaml",
+    benchmark: BenchmarkOption = BENCHMARK,
 ) -> None:
     """Compare planners, trained policies, a random one and doing nothing. A run that stopped goes on."""
     with exit_codes(), _expected():
@@ -201,7 +202,7 @@ def benchmark_command(
 def _recipe(algorithm: str, config: Path | None, steps: int | None, physics: str | None) -> Recipe:
     from baselines.learning.recipe import Recipe, load_recipe
 
-    recipe = load_recipe(config or CONFIGS / "train" / f"{algorithm}.yaml")
+    recipe = load_recipe(config or algorithm)
     if recipe.algorithm != algorithm:
         raise BadInput(f"{config}: algorithm = {recipe.algorithm!r}, asked for {algorithm!r}")
     data = recipe.dump()

@@ -21,14 +21,13 @@ from pathlib import Path
 from typing import Any
 
 from retract_env.errors import ConfigError
+from retract_env.threads import single_threaded
 
 Task = Mapping[str, Any]
 Row = dict[str, Any]
 Work = Callable[[Task], Row]
 OnRow = Callable[[Row], None]
 
-ONE_THREAD = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
-"""Workers share the cores: one thread each."""
 TRIES = 3
 """Workers that may die over one task before it is given up."""
 
@@ -161,18 +160,3 @@ def _on_ray(tasks: Mapping[str, Task], work: Work, _: int) -> Iterator[tuple[str
         done, _waiting = ray.wait(list(running))
         for reference in done:
             yield running.pop(reference), ray.get(reference)
-
-
-@contextmanager
-def single_threaded() -> Iterator[None]:
-    """Processes that begin in this block compute on one thread each."""
-    before = {name: os.environ.get(name) for name in ONE_THREAD}
-    os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value

@@ -26,6 +26,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 from baselines.learning.envs import IDS, arguments, seed_of
 from baselines.learning.policies import Policy
 from baselines.learning.recipe import BC, PPO, SAC, TQC, Recipe, RecipeError
+from retract_env.threads import limit_torch
 
 State = dict[str, Any]
 OnStep = Callable[[int], None]
@@ -43,7 +44,7 @@ class Agent:
         self.stats = cast(RunningMeanStd, envs.obs_rms)  # of one vector, not of a dictionary
         self.started = ""
         """name of the policy that this one began from, if it did"""
-        torch.set_num_threads(1)
+        limit_torch(torch)
         self.model: Any = build(recipe, envs, seed_of(seed))
         # what goes to standard output is the progress bar's
         self.model.set_logger(configure(None if log is None else str(log), ["tensorboard"] if log else []))

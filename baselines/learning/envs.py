@@ -11,11 +11,11 @@ import numpy as np
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv, VecNormalize
 
-from baselines.jobs.journal import single_threaded
 from baselines.learning.policies import Policy
 from baselines.learning.recipe import Recipe, Task
 from retract_env.env import TissueRetractEnv
 from retract_env.rollout import rollout
+from retract_env.threads import single_threaded
 
 IDS = {"fem": "TissueRetractFEM-v0", "bullet": "TissueRetract-v0"}
 

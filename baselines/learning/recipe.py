@@ -10,7 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field
 
-from retract_env.config import Frozen, Listed, Range, brief, read_yaml, refusal
+from retract_env.config import Frozen, Listed, Range, brief, config_file, read_yaml, refusal
 from retract_env.errors import ConfigError
 
 
@@ -187,8 +187,8 @@ class Recipe(_Part):
 
 
 def load_recipe(path: str | PathLike[str]) -> Recipe:
-    """Recipe from a YAML file. Raises RecipeError, naming the file."""
+    """Recipe from a YAML file, or the shipped one of a name. Raises RecipeError, naming the file."""
     try:
-        return Recipe.from_data(read_yaml(path))
+        return Recipe.from_data(read_yaml(config_file(path, "train")))
     except ConfigError as error:
         raise RecipeError(f"{path}: {error}") from None

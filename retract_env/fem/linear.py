@@ -1,22 +1,26 @@
 """The one seam to sparse direct solvers: symmetric positive definite systems, factorised many times on one
 pattern.
 
-PARDISO of Intel's MKL where it is installed (x86-64), else QDLDL. PARDISO is called through
-pypardiso's handle of the library, not through its solver class, which would copy and compare the matrix at
-every call.
+PARDISO of Intel's MKL where it is installed (x86-64), else QDLDL. PARDISO is called in the library itself,
+not through pypardiso's solver class, which would copy and compare the matrix at every call.
 """
 
 from __future__ import annotations
 
 import ctypes
+import os
+import threading
 import weakref
+from contextlib import suppress
+from importlib.metadata import PackageNotFoundError, distribution
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csc_matrix, csr_matrix
 
 from retract_env.errors import NotPositiveDefinite
+from retract_env.threads import limit_mkl
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -32,33 +36,60 @@ class Factor(Protocol):
 
 def cholesky(indptr: Ints, indices: Ints) -> Factor:
     """A factorisation for the pattern of an upper triangle in CSR form, diagonal included."""
-    return Pardiso(indptr, indices) if _pardiso() is not None else Qdldl(indptr, indices)
+    return Qdldl(indptr, indices) if MKL.library() is None else Pardiso(indptr, indices)
 
 
-_library: Any = False  # False: not looked for yet
+class Mkl:
+    """Intel's MKL in this process: looked for, loaded and set up once, by the first thread that asks."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._found: tuple[Any] | None = None
+
+    def library(self) -> Any | None:
+        """The handle of ctypes, None where MKL is not installed."""
+        with self._lock:
+            if self._found is None:
+                library = _load_mkl()
+                if library is not None:
+                    library.pardiso.argtypes = None
+                    limit_mkl(library)
+                self._found = (library,)
+            return self._found[0]
 
 
-def _pardiso() -> Any:
-    global _library
-    if _library is False:
-        try:
-            from pypardiso import PyPardisoSolver
-        except ImportError:
-            _library = None
-        else:
-            _library = PyPardisoSolver().libmkl
-            _library.pardiso.argtypes = None
-            # One thread a factorisation: the systems are small, and candidates run side by side. Without
-            # the sequential layer OpenMP's threads spin and slow everything down many times over.
-            _library.MKL_Set_Threading_Layer(_SEQUENTIAL)
-            _library.MKL_Set_Num_Threads(1)
-            # Same bits whatever the alignment of arrays.
-            _library.MKL_CBWR_Set(_CBWR_AUTO | _CBWR_STRICT)
-    return _library
+MKL = Mkl()
+"""The process's own."""
 
 
-_SEQUENTIAL = 1
-_CBWR_AUTO, _CBWR_STRICT = 2, 0x10000
+def _load_mkl() -> Any | None:
+    """From where the distribution `mkl` says that it put the library.
+
+    Where it does not say, or the user has named a place in PYPARDISO_MKL_RT, pypardiso finds it, by walking
+    through all folders of the environment if it must, which takes seconds.
+    """
+    if "PYPARDISO_MKL_RT" not in os.environ:
+        for path in _installed_mkl():
+            with suppress(OSError):
+                return ctypes.CDLL(str(path))
+    try:
+        from pypardiso import PyPardisoSolver
+
+        return PyPardisoSolver().libmkl
+    except ImportError:  # also what it raises where it finds no MKL
+        return None
+
+
+def _installed_mkl() -> list[Path]:
+    """Files of the distribution `mkl` that are its one library to link with."""
+    try:
+        files = distribution("mkl").files or []
+    except PackageNotFoundError:
+        return []
+    paths = [Path(str(file.locate())).resolve() for file in files if "mkl_rt" in file.name]
+    return [path for path in paths if path.is_file() and path.suffix != ".lib"]
+
+
 _SPD = 2
 _NOT_POSITIVE = -4
 
@@ -74,7 +105,7 @@ class Pardiso:
         iparm[1] = 2  # nested dissection
         iparm[7] = 0  # no iterative refinement: Newton corrects
         iparm[23] = 1  # two-level factorisation: solves three times faster than the default
-        self._state = (_pardiso(), np.zeros(64, np.int64), ia, ja, iparm)
+        self._state = (MKL.library(), np.zeros(64, np.int64), ia, ja, iparm)
         self._analysed = False
 
     def factorize(self, values: Array) -> None:
@@ -131,6 +162,8 @@ class Qdldl:
     """Simplicial L D L^T of the QDLDL library: about three times slower, but with wheels everywhere."""
 
     def __init__(self, indptr: Ints, indices: Ints):
+        from scipy.sparse import csr_matrix  # the other solver does without
+
         n = len(indptr) - 1
         self._upper = csr_matrix((np.arange(len(indices)), indices, indptr), shape=(n, n)).tocsc()
         self._order = self._upper.data
@@ -138,6 +171,7 @@ class Qdldl:
 
     def factorize(self, values: Array) -> None:
         import qdldl
+        from scipy.sparse import csc_matrix
 
         upper = csc_matrix(
             (values[self._order], self._upper.indices, self._upper.indptr), shape=self._upper.shape

@@ -20,17 +20,17 @@ from pydantic import ValidationInfo, field_validator, model_validator
 from retract_env.config import (
     Flag,
     Frozen,
-    Listed,
     Name,
     Paired,
     Range,
     config_file,
+    listed,
     point_text,
     read_yaml,
     refusal,
 )
 from retract_env.errors import ConfigError, SceneError
-from retract_env.scene.veins import Outline, fitted, simple
+from retract_env.scene.veins import MOST_VEINS, MOST_VERTICES, Outline, fitted, simple
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -61,7 +61,7 @@ class Vein(_Part):
     dropped, and the order becomes counter-clockwise, beginning at the same vertex.
     """
 
-    outline: Annotated[tuple[Vertex, ...], Listed]
+    outline: Annotated[tuple[Vertex, ...], listed(MOST_VERTICES)]
     """(k, 2) m, polygon in the x-y section."""
     modulus: Modulus
     """Young's modulus, Pa."""
@@ -83,7 +83,7 @@ class Tissue(_Part):
     modulus: Modulus
     """Young's modulus, Pa."""
     poisson: Poisson
-    veins: Annotated[tuple[Vein, ...], Listed] = ()
+    veins: Annotated[tuple[Vein, ...], listed(MOST_VEINS)] = ()
 
     @field_validator("veins")
     @classmethod

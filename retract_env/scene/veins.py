@@ -3,6 +3,7 @@
 * At least three vertices, no crossing, no edge below 1 um, no corner or notch sharper than 5 degrees, and a
   mean thickness (twice area over perimeter) of at least 0.05 mm.
 * At least 0.05 mm between two veins: veins that touch or overlap are to be drawn as one.
+* At most 500 veins of at most 1000 vertices. Every pair of veins is compared, so that many more take minutes.
 * Inside the flap. Whole edges may lie on the flap's own outline, which allows layers and strips; the edges
   beside them leave it at 5 degrees or more, and all other vertices keep 0.05 mm away from it.
 """
@@ -20,6 +21,7 @@ from retract_env.config import point_text, refusal
 Outline = tuple[tuple[float, float], ...]
 """(k, 2) m, polygon in the x-y section."""
 
+MOST_VEINS, MOST_VERTICES = 500, 1000
 MIN_GAP = 5e-5  # m, between veins, and between a vein and the flap's outline unless an edge lies on it
 MIN_EDGE = 1e-6  # m; netgen spends hundreds of elements on an edge of 1 um and fails at 0.01 um
 MIN_CORNER = math.radians(5.0)  # rad; netgen passes 1 degree, with as bad triangles, and fails at 0.1

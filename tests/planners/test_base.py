@@ -84,6 +84,15 @@ def change(data: Any, place: tuple[Any, ...], value: Any) -> Any:
         (("path", "waypoints"), [], "path.waypoints has shape"),
         (("scene", "tissue", "height"), -1.0, "tissue.height = -1.0 m, allowed"),
         (("scene", "gravitas"), 9.8, "gravitas: unknown key"),
+        (("speed",), 2.0, "plan.speed: unknown key"),
+        (("resolutoin",), "fine", "plan.resolutoin: unknown key, did you mean resolution?"),
+        (("grasp", "score"), 2.0, "plan.grasp.score: unknown key; known keys: x, compression"),
+        (("path", "speed"), 2.0, "path = kind, speed, waypoints, allowed kind and waypoints"),
+        (("resolution",), "ultra", "plan.resolution = 'ultra', allowed coarse, medium, fine"),
+        (("resolution",), ["fine"], "plan.resolution = ['fine'], allowed coarse, medium, fine"),
+        (("planner",), 7, "plan.planner = 7, allowed a text"),
+        (("candidates",), "many", "plan.candidates = 'many', allowed a list of objects"),
+        (("candidates", 0), 3, "allowed a list of objects"),
     ],
 )
 def test_what_is_no_plan_is_refused_in_one_line(

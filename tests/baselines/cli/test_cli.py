@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import json
-import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from copy import deepcopy
@@ -162,6 +161,13 @@ def test_a_plan_that_breaks_a_limit_is_exit_1_and_its_certificate_is_kept(
         (["certify", "missing.json"], "missing.json: no such file"),
         (["certify", "{scene}"], "not readable as JSON"),
         (["certify", "."], "."),
+        (
+            ["plan", "eleven_veins"],
+            "no such file, and none of the shipped ones: homogeneous, ",
+        ),
+        (["plan", "/dev/full"], "/dev/full: not a file on a disk"),
+        (["certify", "/dev/zero"], "/dev/zero: not a file on a disk"),
+        (["plan", "x" * 5000], "file name too long"),
     ],
     ids=lambda value: " ".join(value).replace("{scene}", "SCENE") if isinstance(value, list) else "",
 )
@@ -230,6 +236,9 @@ def damaged_plans() -> Iterator[tuple[str, Callable[[dict[str, Any]], str]]]:
     yield "grasp elsewhere", changed("grasp.x", -0.011)
     yield "scene damaged", changed("scene.tissue", {})
     yield "scene missing", changed("scene", None)
+    yield "unknown key", changed("speed", 2.0)
+    yield "unknown key of the grasp", changed("grasp.speed", 2.0)
+    yield "unknown resolution", changed("resolution", "ultra")
     yield "path empty", changed("path.waypoints", [])
     yield "path ragged", changed("path.waypoints", [[0, 0, 0], [1]])
     yield "path infinite", changed("path.waypoints", [[float("inf")] * 4] * 3)
@@ -330,46 +339,3 @@ def test_no_plan_shows_what_was_tried(
     text = capsys.readouterr().out
     assert all(f"{candidate.grasp.x * 1e3:.2f}" in text for candidate in tried)
     assert f"no plan certified: {len(tried)} candidates: {len(tried)} slip" in text
-
-
-# --- Starting
-
-
-def test_help_answers_without_the_numerics() -> None:
-    code = """
-import sys
-from baselines.cli import main
-assert main(["plan", "--help"]) == 0
-assert not {"numba", "scipy", "matplotlib", "planners", "retract_env.scene"} & set(sys.modules)
-"""
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    for option in (
-        "--planner",
-        "--out",
-        "--resolution",
-        "--workers",
-        "--verify",
-        "--no-pictures",
-        "--format",
-    ):
-        assert option in done.stdout
-
-
-def test_version(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["--version"]) == 0
-    assert capsys.readouterr().out.startswith("retract ")
-
-
-def test_a_first_run_says_that_it_compiles(
-    tmp_path: Path,
-    planned: Plan,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    command = ["plan", str(SCENE), "--out", str(tmp_path), "--no-pictures"]
-    for cached in (False, True):
-        monkeypatch.setattr("retract_env.fem.kernels_are_cached", lambda cached=cached: cached, raising=False)
-        assert main(command) == 0
-        assert ("compiling" in capsys.readouterr().out) is not cached
-    assert planned.certificate.certified

@@ -310,7 +310,7 @@ def test_slopes_beyond_the_vertical_or_the_bed_are_refused(slope: float) -> None
         (b"name: " + b"9" * 5000, "not readable as YAML"),
         (b"name: " + b"[" * 500, "not readable as YAML"),
         (b"just text", "scene = 'just text', not a mapping"),
-        (b"&a {tissue: *a}", "tissue.tissue: unknown key"),
+        (b"&a {tissue: *a}", "line 1, column 13: alias a within what it stands for"),
         (b"{[1]: 2}", "not readable as YAML, line 1, column 2: found unhashable key"),
         (b"name: a", "tissue: missing; line_of_sight: missing"),
     ],

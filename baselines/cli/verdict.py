@@ -1,0 +1,92 @@
+"""How `retract plan` and `retract certify` tell a verdict and where the time went, and what both may be
+asked for."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from baselines.cli.console import NotCertified
+
+if TYPE_CHECKING:
+    from planners.certify import Certificate
+
+MM = 1e3
+
+Resolution = Literal["fine", "medium", "coarse"]
+ResolutionOption = Annotated[
+    Resolution, typer.Option(help="Mesh of the finite elements; `fine` is for certificates.")
+]
+VerifyOption = Annotated[
+    bool, typer.Option("--verify", help="Repeat it on a finer mesh and report the differences.")
+]
+
+
+def describe(certificate: Certificate) -> str:
+    """The verdict of a certificate and its margins, on one line."""
+    c = certificate
+    verdict = {
+        "ok": "certified",
+        "not_visible": "not certified: tissue stays below the line of sight",
+        "strain": "not certified: too much strain",
+        "slip": "not certified: a jaw slips",
+        "release": "not certified: a jaw lets go",
+        "diverged": "not certified: no equilibrium was found",
+    }.get(c.reason, f"not certified: {c.reason}")
+    facts = (
+        f"grasp {c.grasp['x'] * MM:.2f} mm",
+        f"compression {c.grasp['compression'] * MM:.2f} mm",
+        f"strain {c.max_strain:.3f} of {c.strain_limit:g}",
+        f"friction {c.required_friction:.2f} of {c.friction_limit:g}",
+        f"clearance {c.clearance * MM:.2f} mm",
+    )
+    return f"{verdict}; {', '.join(facts)}"
+
+
+def report(certificate: Certificate) -> None:
+    """Print the verdict, and the finer mesh's where there is one. Raises NotCertified."""
+    if not certificate.certified:
+        raise NotCertified(describe(certificate))
+    typer.echo(describe(certificate))
+    if certificate.verification is not None:
+        _report_finer(certificate.verification)
+
+
+def _report_finer(finer: Mapping[str, Any]) -> None:
+    mesh = f"the {finer['resolution']} mesh of {finer['nodes']} nodes"
+    if finer["reason"] != "ok":
+        raise NotCertified(f"not certified on {mesh}: {finer['reason']}")
+    typer.echo(
+        f"verified on {mesh}: strain {finer['max_strain']:.3f} ({finer['max_strain_difference']:+.1%} here), "
+        f"friction {finer['required_friction']:.2f} ({finer['required_friction_difference']:+.2f} here)"
+    )
+
+
+class Clock:
+    """Seconds by phase, to say where the time goes."""
+
+    def __init__(self) -> None:
+        self.start = time.perf_counter()
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def phase(self, name: str) -> Iterator[None]:
+        start = time.perf_counter()
+        yield
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+
+    def summary(self, work: Mapping[str, float] | None = None) -> str:
+        """One line of wall-clock, and one of `work`: s by kind, summed over threads."""
+        phases = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in self.seconds.items())
+        line = f"time: {time.perf_counter() - self.start:.1f} s; {phases}"
+        parts = {name: seconds for name, seconds in (work or {}).items() if name != "total"}
+        if parts:
+            largest_first = sorted(parts.items(), key=lambda item: -item[1])
+            line += "\n  planning, summed over threads: " + ", ".join(
+                f"{name} {s:.1f} s" for name, s in largest_first
+            )
+        return line
