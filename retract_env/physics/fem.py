@@ -92,11 +92,11 @@ class FemPhysics:
         start = time.perf_counter()
         try:
             if self._rest is None:
-                self.equilibrium.usable = False
+                self.equilibrium.forget()
                 self._rest = self.equilibrium.solve(self._u)
         finally:
             self.seconds["equilibrium"] += time.perf_counter() - start
-        self.equilibrium.usable = False  # what follows depends on nothing before, not even in its last bit
+        self.equilibrium.forget()
         self._u, self._force = self._rest
         self._history.append((0.0, self._u))
         return self.state()
@@ -137,7 +137,7 @@ class FemPhysics:
         return self.state()
 
     def close(self) -> None:
-        """Nothing is held that would not go by itself."""
+        """Holds no resources."""
 
     def turn(self) -> None:
         """Say that the path has a corner here: what came before does not predict what follows."""
@@ -168,7 +168,7 @@ class FemPhysics:
             u[self.model.fixed] = 0.0  # not even rounding moves it
             self.model.place_jaws(u, jaws)
             if np.isfinite(self.model.residual(u)[0]):
-                self.equilibrium.usable = False
+                self.equilibrium.forget()
                 return u
         moved = self._u.copy()
         self.model.place_jaws(moved, jaws)
