@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 import retract_env
 from baselines.jobs.journal import Row, Task
 from retract_env.errors import ConfigError
+from retract_env.physics.registry import PHYSICS
 from retract_env.rollout import PathPolicy, Rollout, rollout
 from retract_env.scene import Scene, sample_scene
 
@@ -27,7 +28,7 @@ Floats = NDArray[np.float32]
 
 SEED = 1
 """What all seeds of demonstrated scenes begin with, so that no split of the benchmark shares a scene."""
-ENV = "TissueRetractFEM-v0"
+ENV = PHYSICS["fem"].env_id
 KWARGS: dict[str, Any] = {"scene": "random", "grasp": "agent"}
 """The environment that the data set names."""
 

@@ -6,6 +6,7 @@ import math
 import time
 from collections import defaultdict
 from collections.abc import Callable
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +39,8 @@ class FemPhysics:
     Raises Diverged where a pose has no equilibrium that can be reached from the one before; the state is then
     still the last good one.
     """
+
+    resolutions: ClassVar[tuple[str, ...]] = tuple(RESOLUTIONS)
 
     def __init__(
         self,
