@@ -24,6 +24,7 @@ from planners import plan
 from planners.paths import ctc
 from retract_env.env import TissueRetractEnv
 from retract_env.objectives import exposure
+from retract_env.physics.registry import PHYSICS
 from retract_env.rollout import PathPolicy, rollout
 from retract_env.scene import Scene, load_scene, sample_scene
 
@@ -120,7 +121,7 @@ def play(name: str) -> None:
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seconds", type=float, default=3.0, help="of steps a line")
-    parser.add_argument("--physics", choices=("fem", "bullet"), help="only this one")
+    parser.add_argument("--physics", choices=list(PHYSICS), help="only this one")
     parser.add_argument("--plans", nargs="*", default=PLANS, help="scenes whose plans are played, or none")
     options = parser.parse_args(arguments)
     print(f"{platform.machine()}, Python {platform.python_version()}, CPU time of one thread\n")

@@ -11,7 +11,7 @@ import pytest
 
 from retract_env.env import TissueRetractEnv
 from retract_env.mesh import SLIVER
-from retract_env.task import LAYOUT, SLICES, actions, task
+from retract_env.task import LAYOUT, SIZE, SLICES, TaskConfig, Weights
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = (ROOT / "docs" / "environment.md").read_text("utf-8")
@@ -35,13 +35,13 @@ def test_the_observations_are_the_layout() -> None:
         span = SLICES[part.name]
         numbers = str(span.start) if part.size == 1 else f"{span.start}-{span.stop - 1}"
         assert row == [numbers, f"`{part.name}`", part.meaning, f"{part.low:g}", f"{part.high:g}", part.unit]
-    assert f"{task.SIZE} numbers with finite bounds" in PAGE
+    assert f"{SIZE} numbers with finite bounds" in PAGE
 
 
 def test_the_reward_has_the_tasks_terms_and_weights() -> None:
     documented = {name: float(weight) for name, weight, _ in rows(PAGE, "Rewards and ends")}
-    assert documented == {f"`{name}`": weight for name, weight in task.WEIGHTS.items()}
-    assert f"truncated after {task.MAX_STEPS} steps" in PAGE
+    assert documented == {f"`{name}`": weight for name, weight in Weights().model_dump().items()}
+    assert f"truncated after {TaskConfig().steps} steps" in PAGE
 
 
 def test_the_actions_are_those_of_the_docstring_and_of_the_code() -> None:
@@ -49,9 +49,9 @@ def test_the_actions_are_those_of_the_docstring_and_of_the_code() -> None:
     assert documented == rows(inspect.cleandoc(TissueRetractEnv.__doc__ or ""), "Action Space")
     (x, compression, none), moves = documented[:3], documented[3:]
     assert x[3] == f"{0.5 + SLIVER:g} jaw widths before the fixed end" and none[1] == "none"
-    assert compression[2:] == [f"{share:g} height" for share in actions.COMPRESSION]
+    assert compression[2:] == [f"{share:g} height" for share in TaskConfig().compression]
     steps = np.array([float(row[3].split()[0]) for row in moves]) * [1e-3, 1e-3, np.radians(1)]
-    assert steps == pytest.approx(actions.STEP)
+    assert steps == pytest.approx(TaskConfig().move)
 
 
 def test_every_argument_is_listed_with_its_default() -> None:

@@ -6,12 +6,14 @@ import re
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import pytest
 from rich.console import Console
 
 from baselines.paper.reproduce import names, reproduce
 from baselines.paper.studies import STUDIES
 from planners.paths import PATHS
+from retract_env.physics.registry import PHYSICS
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = (ROOT / "docs" / "how-to-add.md").read_text("utf-8")
@@ -40,3 +42,16 @@ def test_a_study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     written = reproduce(["firmer"], tmp_path, "coarse", workers=1, console=Console(quiet=True))
     assert [path.name for path in written] == ["firmer.csv", "firmer.png", "firmer.md"]
     assert "| a firmer grip strains the tissue more |" in (tmp_path / "firmer.md").read_text("utf-8")
+
+
+def test_a_physics(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """The toy is listed, has its environment and plays an episode to its end."""
+    monkeypatch.setitem(PHYSICS, "sheet", PHYSICS["fem"])  # so that it is taken out again
+    registered = set(gym.registry)
+    try:
+        exec(compile(example("A physics"), "example", "exec"), {})
+        assert "sheet" in PHYSICS and PHYSICS["sheet"].env_id in gym.registry
+        assert capsys.readouterr().out == "True 12\n"
+    finally:
+        for name in set(gym.registry) - registered:
+            del gym.registry[name]

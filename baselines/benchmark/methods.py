@@ -23,11 +23,12 @@ from baselines.learning.policies import TENSORS, Policy, PolicyError, load_polic
 from planners import NoPlan, certify, plan
 from planners.base import PROMISING
 from retract_env.grasp import Grasp, JawPath
+from retract_env.physics.registry import PHYSICS
 from retract_env.rollout import Policy as Acting
 from retract_env.rollout import rollout
 from retract_env.scene import Scene
 
-FEM, BULLET = "TissueRetractFEM-v0", "TissueRetract-v0"
+FEM, BULLET = PHYSICS["fem"].env_id, PHYSICS["bullet"].env_id
 
 
 @dataclass(frozen=True)

@@ -81,7 +81,7 @@ def train_command(
     envs: Annotated[
         int | None, typer.Option(min=1, help="Environments side by side; one a core if not given.")
     ] = None,
-    physics: Annotated[Literal["fem", "bullet"] | None, typer.Option(help="Instead of the recipe's.")] = None,
+    physics: Annotated[str | None, typer.Option(help="Name of another one than the recipe's.")] = None,
     start: Annotated[
         Path | None, typer.Option("--from", help="Folder of a policy to begin from, such as one of bc.")
     ] = None,

@@ -23,9 +23,10 @@ from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import VecNormalize
 
-from baselines.learning.envs import IDS, arguments, seed_of
+from baselines.learning.envs import arguments, seed_of
 from baselines.learning.policies import Policy
 from baselines.learning.recipe import BC, PPO, SAC, TQC, Recipe, RecipeError
+from retract_env.physics.registry import PHYSICS
 from retract_env.threads import limit_torch
 
 State = dict[str, Any]
@@ -82,7 +83,7 @@ class Agent:
             clip=self.recipe.observation.clip,
             activation=self.recipe.network.activation,
             output=self._output,
-            env={"id": IDS[self.recipe.task.physics], "kwargs": arguments(self.recipe.task)},
+            env={"id": PHYSICS[self.recipe.task.physics].env_id, "kwargs": arguments(self.recipe.task)},
         )
 
     def begin_from(self, policy: Policy) -> None:

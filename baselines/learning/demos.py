@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 import retract_env
 from baselines.jobs.journal import Row, Task
 from retract_env.errors import ConfigError
+from retract_env.physics.registry import PHYSICS
 from retract_env.rollout import PathPolicy, Rollout, rollout
 from retract_env.scene import Scene, sample_scene
 
@@ -28,7 +29,7 @@ Floats = NDArray[np.float32]
 SEED = 1
 """First number of every demonstrated scene's seed; the benchmark's splits have others, so no scene is in
 both."""
-ENV = "TissueRetractFEM-v0"
+ENV = PHYSICS["fem"].env_id
 KWARGS: dict[str, Any] = {"scene": "random", "grasp": "agent"}
 """The environment that the data set names."""
 

@@ -14,10 +14,9 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv,
 from baselines.learning.policies import Policy
 from baselines.learning.recipe import Recipe, Task
 from retract_env.env import TissueRetractEnv
+from retract_env.physics.registry import PHYSICS
 from retract_env.rollout import rollout
 from retract_env.threads import single_threaded
-
-IDS = {"fem": "TissueRetractFEM-v0", "bullet": "TissueRetract-v0"}
 
 
 class Judged(gym.Wrapper[Any, Any, Any, Any]):
@@ -53,7 +52,7 @@ def arguments(task: Task) -> dict[str, Any]:
 
 def make_env(task: Task, rank: int, of: int) -> gym.Env[Any, Any]:
     """One environment with its statistics of episodes."""
-    env = gym.make(IDS[task.physics], disable_env_checker=True, **arguments(task))
+    env = gym.make(PHYSICS[task.physics].env_id, disable_env_checker=True, **arguments(task))
     return Monitor(Judged(env, rank, of))
 
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from baselines.jobs.files import write_json, written_whole
 from retract_env.errors import ConfigError
-from retract_env.task import actions, task
+from retract_env.task import SIZE, actions
 
 Floats = NDArray[np.float32]
 
@@ -66,16 +66,16 @@ class Policy:
         ends = [self.mean.shape[0], *(b.shape[0] for b in self.biases)]
         if sizes != [(ends[k + 1], ends[k]) for k in range(len(sizes))] or not sizes:
             raise PolicyError(f"policy: layers of shapes {sizes} do not follow each other")
-        if ends[0] != task.SIZE or ends[-1] != actions.SIZE:
+        if ends[0] != SIZE or ends[-1] != actions.SIZE:
             raise PolicyError(
-                f"policy: from {ends[0]} to {ends[-1]} numbers, allowed {task.SIZE} to {actions.SIZE}"
+                f"policy: from {ends[0]} to {ends[-1]} numbers, allowed {SIZE} to {actions.SIZE}"
             )
         if not all(np.isfinite(t).all() for t in self.tensors().values()) or not (self.deviation > 0).all():
             raise PolicyError("policy: weights, or the deviations of its observations, are no numbers")
 
     def __call__(self, observation: NDArray[Any]) -> Floats:
         """(3,) action in [-1, 1]. Raises ValueError for what is not the task's state vector."""
-        if observation.shape != (task.SIZE,):
+        if observation.shape != (SIZE,):
             raise ValueError(f"observation has shape {observation.shape}, allowed that of obs='state'")
         x = np.clip((observation - self.mean) / self.deviation, -self.clip, self.clip)
         for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):

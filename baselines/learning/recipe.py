@@ -8,10 +8,11 @@ from __future__ import annotations
 from os import PathLike
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import BeforeValidator, Field
+from pydantic import Field
 
-from retract_env.config import Frozen, Listed, Range, brief, config_file, read_yaml, refusal
+from retract_env.config import Frozen, Listed, Range, brief, config_file, one_of, read_yaml, whole
 from retract_env.errors import ConfigError
+from retract_env.physics.registry import PHYSICS
 
 
 class RecipeError(ConfigError):
@@ -24,18 +25,6 @@ class _Part(Frozen):
     error_type: ClassVar[type[ConfigError]] = RecipeError
 
 
-def whole(low: int, high: int) -> BeforeValidator:
-    """Marks an int field that takes a whole number in [low, high]; 1e6 is one."""
-
-    def check(value: Any) -> int:
-        number = Range(low, high).check(value)
-        if number != int(number):
-            raise refusal(f" = {brief(value)}, not a whole number")
-        return int(number)
-
-    return BeforeValidator(check)
-
-
 Count = Annotated[int, whole(1, 10**9)]
 Rate = Annotated[float, Range(0.0, 1.0, "", "(]")]
 Share = Annotated[float, Range(0.0, 1.0)]
@@ -45,7 +34,7 @@ Weight = Annotated[float, Range(0.0, 1e3)]
 class Task(_Part):
     """What is learned on: arguments of the environment."""
 
-    physics: Literal["fem", "bullet"] = "fem"
+    physics: Annotated[str, one_of(PHYSICS)] = "fem"
     scene: str | dict[str, Any] = "random"
     """as the environment takes it: "random", a file, or plain data"""
     grasp: Literal["agent", "spring"] = "agent"

@@ -109,7 +109,7 @@ class Sensitivity:
         model, equilibrium = self.model, self._equilibrium
         u = u.copy()
         model.place_jaws(u, to_jaws(pose))
-        equilibrium.usable = False  # nothing depends on what was asked before
+        equilibrium.forget()
         u, force = equilibrium.solve(u)
         shifts = equilibrium.counts["shifts"]
         equilibrium.factorize(u)

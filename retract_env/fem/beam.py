@@ -63,7 +63,7 @@ class BeamGuess:
         out = u.copy()
         for level in range(self._prism.levels):
             moved = after + _turned(self._level(u, level) - before, angle)
-            out.reshape(-1, self._prism.stride)[:, 2 * level : 2 * level + 2] = moved - self._rest
+            self._prism.in_plane(out, level)[:] = moved - self._rest
         return out
 
     @property
@@ -71,7 +71,7 @@ class BeamGuess:
         return self._prism.section.points
 
     def _level(self, u: Array, level: int) -> Array:
-        return self._rest + u.reshape(-1, self._prism.stride)[:, 2 * level : 2 * level + 2]
+        return self._rest + self._prism.in_plane(u, level)
 
 
 def _interpolated(at: Array, known: Array, values: Array) -> Array:

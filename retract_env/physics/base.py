@@ -49,7 +49,10 @@ class TissueState:
 
 
 class Physics(Protocol):
-    """One flap and the two jaws that hold it; made from (scene, jaw_x in m, resolution)."""
+    """One flap and the two jaws that hold it; `registry.PhysicsKind.source` says how it is made.
+
+    After `reset` the same moves lead to the same states, to the last bit: copies of an episode rely on it.
+    """
 
     @property
     def section(self) -> SectionMesh:

@@ -6,6 +6,7 @@ import math
 import time
 from collections import defaultdict
 from collections.abc import Callable, Sequence
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +39,8 @@ class FemPhysics:
     Raises Diverged where a pose has no equilibrium that can be reached from the one before; the state is then
     still the last good one.
     """
+
+    resolutions: ClassVar[tuple[str, ...]] = tuple(RESOLUTIONS)
 
     def __init__(
         self,
@@ -93,11 +96,11 @@ class FemPhysics:
         start = time.perf_counter()
         try:
             if self._rest is None:
-                self.equilibrium.usable = False
+                self.equilibrium.forget()
                 self._rest = self.equilibrium.solve(self._u)
         finally:
             self.seconds["equilibrium"] += time.perf_counter() - start
-        self.equilibrium.usable = False  # what follows depends on nothing before, not even in its last bit
+        self.equilibrium.forget()
         self._u, self._force = self._rest
         self._history.append((0.0, self._u))
         return self.state()
@@ -167,7 +170,7 @@ class FemPhysics:
         self._u, self._force = u, self.model.residual(u)[1]
         self._pose, self._progress = pose, progress
         self._history = [(progress, u)]
-        self.equilibrium.usable = False
+        self.equilibrium.forget()
 
     def close(self) -> None:
         """Nothing to give back: this physics holds only memory of Python's own."""
@@ -201,7 +204,7 @@ class FemPhysics:
             u[self.model.fixed] = 0.0  # not even rounding moves it
             self.model.place_jaws(u, jaws)
             if np.isfinite(self.model.residual(u)[0]):
-                self.equilibrium.usable = False
+                self.equilibrium.forget()
                 return u
         moved = self._u.copy()
         self.model.place_jaws(moved, jaws)

@@ -19,7 +19,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,7 @@ from retract_env.physics.bullet.prediction import Prediction
 from retract_env.physics.bullet.tetmesh import tet_mesh
 from retract_env.physics.bullet.world import World, silence
 from retract_env.physics.measures import TetrahedralFlap
+from retract_env.physics.registry import PHYSICS
 from retract_env.scene import Scene
 
 Array = NDArray[np.float64]
@@ -81,6 +82,8 @@ class BulletPhysics:
     Raises Diverged where the motion runs away or an element is turned inside out; the state is then still the
     last good one, and the flap goes on from there.
     """
+
+    resolutions: ClassVar[tuple[str, ...]] = tuple(BULLET_RESOLUTIONS)
 
     def __init__(
         self,
@@ -291,6 +294,5 @@ def _pybullet() -> Any:
         with silence():
             import pybullet
     except ImportError:
-        hint = 'pip install "retract[bullet]"; TissueRetractFEM-v0 needs none'
-        raise ImportError(f"pybullet is not installed: {hint}") from None
+        raise ImportError(PHYSICS["bullet"].missing) from None
     return pybullet

@@ -14,13 +14,13 @@ import pytest
 
 from baselines.benchmark.methods import Method, compete
 from baselines.learning.policies import JSON, TENSORS, PolicyError, load_policy, save_policy, shipped
-from retract_env.task import default_scene, task
+from retract_env.task import HIGH, LOW, SIZE, default_scene
 from tests.baselines.trained import policy
 
 
 def observations(count: int) -> Any:
     rng = np.random.default_rng(5)
-    return rng.uniform(task.LOW, task.HIGH, (count, task.SIZE)).astype(np.float32)
+    return rng.uniform(LOW, HIGH, (count, SIZE)).astype(np.float32)
 
 
 @pytest.mark.parametrize("activation", ["tanh", "relu"])
@@ -124,7 +124,7 @@ def test_layers_must_follow_each_other() -> None:
     with pytest.raises(PolicyError, match=r"^policy: layers of shapes .* do not follow each other$"):
         policy(weights=sound.weights[::-1])
     with pytest.raises(PolicyError, match=r"^policy: weights, or the deviations"):
-        policy(deviation=np.zeros(task.SIZE, np.float32))
+        policy(deviation=np.zeros(SIZE, np.float32))
 
 
 def test_a_failed_write_leaves_the_policy_that_was_there(tmp_path: Path) -> None:

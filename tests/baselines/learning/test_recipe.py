@@ -49,7 +49,7 @@ def test_a_recipe_comes_back_from_plain_data(algorithm: str) -> None:
         ),
         ({"learner": 3}, "learner = 3, not a mapping"),
         ({"network": {"sizes": [0]}}, "network.sizes[0] = 0, allowed [1, 4096]"),
-        ({"task": {"physics": "jelly"}}, "task.physics: Input should be 'fem' or 'bullet'"),
+        ({"task": {"physics": "jelly"}}, "task.physics = 'jelly', allowed bullet, fem"),
     ],
 )
 def test_what_is_wrong_is_said_in_one_line(change: dict[str, Any], message: str) -> None:

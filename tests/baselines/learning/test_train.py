@@ -26,7 +26,7 @@ from baselines.learning.checkpoints import MAGIC, CheckpointError, read_checkpoi
 from baselines.learning.envs import make_envs
 from baselines.learning.policies import TENSORS, Policy, load_policy, save_policy
 from baselines.learning.recipe import RecipeError
-from retract_env.task import task
+from retract_env.task import HIGH, LOW, SIZE
 from tests.baselines.trained import easy_scene, recipe
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -130,9 +130,9 @@ def test_the_policy_that_is_shipped_acts_as_the_agent(algorithm: str) -> None:
     envs = make_envs(recipe(algorithm, 48, 16, **TINY[algorithm]), 1)
     agent = Agent(recipe(algorithm, 48, 16, **TINY[algorithm]), envs, 0)
     rng = np.random.default_rng(0)
-    agent.stats.update(rng.uniform(task.LOW, task.HIGH, (50, task.SIZE)))
+    agent.stats.update(rng.uniform(LOW, HIGH, (50, SIZE)))
     policy = agent.policy()
-    for seen in rng.uniform(task.LOW, task.HIGH, (20, task.SIZE)).astype(np.float32):
+    for seen in rng.uniform(LOW, HIGH, (20, SIZE)).astype(np.float32):
         wanted, _ = agent.model.predict(envs.normalize_obs(seen), deterministic=True)
         assert policy(seen) == pytest.approx(wanted, abs=1e-5)
     envs.close()
@@ -147,7 +147,7 @@ def test_an_agent_begins_as_the_policy_that_it_is_given(algorithm: str, tmp_path
     agent = Agent(recipe(algorithm, 48, 16, **TINY[algorithm]), envs, 0)
     agent.begin_from(given)
     rng = np.random.default_rng(0)
-    for seen in rng.uniform(task.LOW, task.HIGH, (20, task.SIZE)).astype(np.float32):
+    for seen in rng.uniform(LOW, HIGH, (20, SIZE)).astype(np.float32):
         assert agent.policy()(seen) == pytest.approx(given(seen), abs=1e-4)
     with pytest.raises(RecipeError, match=r"^network: layers, activation and output "):
         agent.begin_from(_policy((64, 32), output=output, activation=activation))
