@@ -140,8 +140,7 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
        ("release"). A move may stop where that happens.
     3. Truncation: 64 steps were taken, or as many as `task` says; `spec.max_episode_steps` says it too.
     4. Truncation: the physics cannot go on ("diverged"); the last good state is observed, nothing is rewarded
-       but what led there. A move also diverges where it takes more work than any flap of tissue needs; a
-       reset whose grasp does so raises Diverged.
+       but what led there.
 
     With `task={"limits": "cost"}` a broken limit ends nothing, and no move stops for it: the episode goes on
     until the target is in view or time is up. The first broken limit counts once as *failure*; `is_success`
