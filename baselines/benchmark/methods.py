@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import retract_env  # noqa: F401  (registers the environments)
-from baselines.jobs.journal import Row, Task
+from baselines.jobs.journal import Row, WorkItem
 from baselines.learning.policies import TENSORS, Policy, PolicyError, load_policy, policy_folder
 from planners import NoPlan, certify, plan
 from planners.base import PROMISING
@@ -91,7 +91,7 @@ class _Timed:
         return action
 
 
-def compete(task: Task) -> Row:
+def compete(task: WorkItem) -> Row:
     """One method on one scene, judged. The row's `timing` alone differs from run to run.
 
     task: method, split, number, scene, resolution, policy_resolution, lead_out, seed, transfer.
@@ -128,7 +128,7 @@ def compete(task: Task) -> Row:
     return row
 
 
-def _planned(method: Method, scene: Scene, task: Task) -> HandedIn:
+def _planned(method: Method, scene: Scene, task: WorkItem) -> HandedIn:
     start = time.perf_counter()
     try:
         best = plan(scene, method.name, task["resolution"], workers=1)
@@ -141,7 +141,7 @@ def _planned(method: Method, scene: Scene, task: Task) -> HandedIn:
     return HandedIn(best.grasp, best.path, "", spent, time.perf_counter() - start)
 
 
-def acting(method: Method, task: Task) -> Acting:
+def acting(method: Method, task: WorkItem) -> Acting:
     """The policy that plays. Raises PolicyError."""
     if method.kind == "policy":
         policy: Policy = load_policy(method.folder)
@@ -152,7 +152,7 @@ def acting(method: Method, task: Task) -> Acting:
     return lambda _: rng.uniform(-1, 1, 3).astype(np.float32)
 
 
-def _played(method: Method, scene: Scene, task: Task) -> HandedIn:
+def _played(method: Method, scene: Scene, task: WorkItem) -> HandedIn:
     """What the jaws did, and a few moves more like the last where the coarser mesh of the environment saw the
     target: the certifier stops at visibility."""
     start = time.perf_counter()

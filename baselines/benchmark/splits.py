@@ -12,7 +12,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from pydantic import BeforeValidator, Field
 
-from baselines.learning.recipe import whole
+from baselines.learning.fields import whole
 from retract_env.config import Frozen, Listed, brief, read_yaml, refusal
 from retract_env.errors import ConfigError
 from retract_env.scene import Scene, sample_scene

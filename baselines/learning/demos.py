@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import retract_env
-from baselines.jobs.journal import Row, Task
+from baselines.jobs.journal import Row, WorkItem
 from retract_env.errors import ConfigError
 from retract_env.rollout import PathPolicy, Rollout, rollout
 from retract_env.scene import Scene, sample_scene
@@ -41,7 +41,7 @@ def demo_scene(seed: int) -> Scene:
     return sample_scene(np.random.default_rng([SEED, seed]))
 
 
-def demonstrate(task: Task) -> Row:
+def demonstrate(task: WorkItem) -> Row:
     """Plan, certify and play one scene; work for `run_tasks`.
 
     task: planner, resolution of its certificate, seed. The row has the certificate, None where none is
@@ -85,7 +85,7 @@ def check_free(name: str) -> None:
         raise DemosError(f"dataset {name}: there is one already, in {path}")
 
 
-def write_dataset(name: str, rows: Sequence[Row], task: Task, command: str) -> int:
+def write_dataset(name: str, rows: Sequence[Row], task: WorkItem, command: str) -> int:
     """Make the Minari data set `name` from rows of `demonstrate`; returns how many episodes it has.
 
     Raises DemosError where there are none, where the name is not one of Minari's, or is taken.
