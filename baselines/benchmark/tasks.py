@@ -45,6 +45,15 @@ def methods_of(benchmark: Benchmark, policies: Path | None) -> list[Method]:
     return [*found, Method("random", "random"), Method("nothing", "nothing")]
 
 
+def chosen(methods: Sequence[Method], names: Sequence[str] | None) -> list[Method]:
+    """The methods of these names, or all. Raises BenchmarkError for a name that none has."""
+    known = list(dict.fromkeys(method.name for method in methods))
+    for name in names or ():
+        if name not in known:
+            raise BenchmarkError(f"method = {name!r}, allowed {', '.join(known)}")
+    return [method for method in methods if not names or method.name in names]
+
+
 def tasks_of(
     benchmark: Benchmark,
     methods: Sequence[Method],

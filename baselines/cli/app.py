@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from baselines.cli.benchmark import benchmark_command
 from baselines.cli.console import (
     BadInput,
     NotCertified,
@@ -29,7 +30,9 @@ from baselines.cli.console import (
     why,
     writing,
 )
-from baselines.cli.learning import commands as learning_commands
+from baselines.cli.demos import demos_command
+from baselines.cli.evaluate import evaluate_command
+from baselines.cli.train import train_command
 from baselines.jobs.files import write_json, written_whole
 
 if TYPE_CHECKING:
@@ -46,7 +49,10 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
-app.add_typer(learning_commands)
+app.command("demos")(demos_command)
+app.command("train")(train_command)
+app.command("evaluate")(evaluate_command)
+app.command("benchmark")(benchmark_command)
 
 Resolution = Literal["fine", "medium", "coarse"]
 ResolutionOption = Annotated[

@@ -19,6 +19,10 @@ class NotCertified(Exception):
     """The work was done and nothing is certified; the message says why. Exit 1."""
 
 
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C during work that can be gone on with; the message says how, or is empty. Exit 130."""
+
+
 def check_no_folder(file: Path) -> None:
     if file.is_dir():
         raise BadInput(f"{file}: is a folder")
@@ -41,13 +45,15 @@ def writing(path: Path) -> Iterator[None]:
         raise BadInput(f"cannot write {problem.filename or path}: {why(problem)}") from None
 
 
-def announce_compilation() -> None:
-    """Numba compiles the kernels on the first run, for long enough that a user wonders."""
-    import retract_env.fem
+def announce_compilation(physics: str = "fem") -> None:
+    """Numba compiles the kernels on the first run, for long enough that a user wonders.
 
-    cached = getattr(retract_env.fem, "kernels_are_cached", None)
-    if cached is not None and not cached():
-        typer.echo("first run: compiling the finite-element kernels, which are then kept")
+    physics: what the command computes with; it needs kernels of its own.
+    """
+    from retract_env.fem import kernels_are_cached
+
+    if not kernels_are_cached(physics):
+        typer.echo("first run: compiling the kernels, which are then kept")
 
 
 def why(problem: OSError) -> str:
@@ -69,6 +75,7 @@ def exit_codes() -> Iterator[None]:
     except NotCertified as verdict:
         typer.echo(str(verdict))
         raise typer.Exit(1) from None
-    except KeyboardInterrupt:
-        typer.echo("interrupted", err=True)
+    except KeyboardInterrupt as stop:
+        how = str(stop) if isinstance(stop, Interrupted) else ""
+        typer.echo("interrupted" + (f"; {how}" if how else ""), err=True)
         raise typer.Exit(130) from None

@@ -147,6 +147,7 @@ def _legs(run: Run, folder: Path, agent: Agent, course: _Course, on_progress: On
     def told(done: int) -> None:
         on_progress(Progress(done, total, last))
 
+    told(agent.steps)
     while agent.steps < total:
         begin, earlier = time.perf_counter(), course.seconds
         due = min((last["steps"] if last else 0) + every, total)
