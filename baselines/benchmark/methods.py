@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,15 +19,29 @@ from numpy.typing import NDArray
 
 import retract_env  # noqa: F401  (registers the environments)
 from baselines.jobs.journal import Row, WorkItem
-from baselines.learning.policies import TENSORS, Policy, PolicyError, load_policy, policy_folder
+from baselines.learning.policies import TENSORS, load_policy, policy_folder
 from planners import NoPlan, certify, plan
 from planners.base import PROMISING
 from retract_env.grasp import Grasp, JawPath
-from retract_env.rollout import Policy as Acting
 from retract_env.rollout import rollout
 from retract_env.scene import Scene
 
 FEM, BULLET = "TissueRetractFEM-v0", "TissueRetract-v0"
+Decide = Callable[[NDArray[Any]], NDArray[Any]]
+"""From an observation to an action."""
+
+
+def _random(item: WorkItem) -> Decide:
+    rng = np.random.default_rng([item["seed"], item["number"]])
+    return lambda _: rng.uniform(-1, 1, 3).astype(np.float32)
+
+
+def _nothing(_: WorkItem) -> Decide:
+    return lambda _: np.zeros(3, np.float32)
+
+
+UNTRAINED: dict[str, Callable[[WorkItem], Decide]] = {"random": _random, "nothing": _nothing}
+"""What plays in the environment without having learned: from a scene's work item, as `compete` has it."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +49,7 @@ class Method:
     """One competitor, as plain data for tasks."""
 
     kind: str
-    """planner, policy, random or nothing"""
+    """planner, policy, or one of UNTRAINED"""
     name: str
     """what tables call it"""
     run: int = 0
@@ -53,10 +67,7 @@ class Method:
         folder = policy_folder(folder)
         policy = load_policy(folder)
         content = hashlib.sha256((folder / TENSORS).read_bytes()).hexdigest()[:16]
-        seed = policy.training.get("seed", 0)
-        if not isinstance(seed, int):
-            raise PolicyError(f"{folder}: training.seed = {seed!r}, allowed a whole number")
-        return cls("policy", policy.name, seed, str(folder), content)
+        return cls("policy", policy.name, int(policy.training["seed"]), str(folder), content)
 
 
 @dataclass
@@ -79,7 +90,7 @@ class HandedIn:
 class _Timed:
     """A policy and the time that it takes."""
 
-    policy: Acting
+    policy: Decide
     seconds: float = 0.0
     calls: int = field(default=0)
 
@@ -141,15 +152,9 @@ def _planned(method: Method, scene: Scene, task: WorkItem) -> HandedIn:
     return HandedIn(best.grasp, best.path, "", spent, time.perf_counter() - start)
 
 
-def acting(method: Method, task: WorkItem) -> Acting:
-    """The policy that plays. Raises PolicyError."""
-    if method.kind == "policy":
-        policy: Policy = load_policy(method.folder)
-        return policy
-    if method.kind == "nothing":
-        return lambda _: np.zeros(3, np.float32)
-    rng = np.random.default_rng([task["seed"], task["number"]])
-    return lambda _: rng.uniform(-1, 1, 3).astype(np.float32)
+def acting(method: Method, task: WorkItem) -> Decide:
+    """Who plays. Raises PolicyError."""
+    return load_policy(method.folder) if method.kind == "policy" else UNTRAINED[method.kind](task)
 
 
 def _played(method: Method, scene: Scene, task: WorkItem) -> HandedIn:

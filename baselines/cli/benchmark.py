@@ -43,6 +43,7 @@ def benchmark_command(
     """Compare planners, trained policies, a random one and doing nothing. A run that stopped goes on."""
     with exit_codes(), expected():
         from baselines.benchmark.methods import compete
+        from baselines.benchmark.references import load_references
         from baselines.benchmark.report import write_report
         from baselines.benchmark.splits import load_benchmark
         from baselines.benchmark.tasks import chosen, methods_of, tasks_of
@@ -58,7 +59,9 @@ def benchmark_command(
             for one in methods:
                 if one.kind == "policy":
                     curves.setdefault(one.name, []).append(load_policy(one.folder).training["curve"])
+            stored = load_references(about.resolution)
+            known = {scene: reference.strain for scene, reference in stored.items()}
             written = write_report(
-                rows, out, about.resolution, command_line(), curves, about.seed, about.bootstrap
+                rows, out, about.resolution, command_line(), curves, known, about.seed, about.bootstrap
             )
         typer.echo("written: " + ", ".join(str(path) for path in written))
