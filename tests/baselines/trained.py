@@ -87,7 +87,7 @@ LEARNERS: dict[str, dict[str, Any]] = {
 }
 
 
-def recipe(algorithm: str, steps: int, every: int, **learner: Any) -> Recipe:
+def recipe(algorithm: str, steps: int, every: int, checkpoint: int | None = None, **learner: Any) -> Recipe:
     """For the easy scene, held by the spring model's grasp."""
     return Recipe.from_data(
         {
@@ -95,7 +95,7 @@ def recipe(algorithm: str, steps: int, every: int, **learner: Any) -> Recipe:
             "steps": steps,
             "task": {"scene": easy_scene(), "grasp": "spring"},
             "network": {"sizes": [64, 64], "activation": "tanh" if algorithm in ("ppo", "bc") else "relu"},
-            "evaluation": {"every": every, "scenes": 1},
+            "evaluation": {"every": every, "checkpoint": checkpoint, "scenes": 1},
             "learner": LEARNERS[algorithm] | learner,
         }
     )

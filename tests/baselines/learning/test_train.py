@@ -20,13 +20,16 @@ pytest.importorskip("stable_baselines3")
 pytest.importorskip("sb3_contrib")
 pytest.importorskip("tensorboard")
 
+from baselines.jobs.version import PACKAGES
 from baselines.learning import train
-from baselines.learning.agents import Agent
+from baselines.learning.agents import FAILURES, Agent
 from baselines.learning.checkpoints import MAGIC, CheckpointError, read_checkpoint, write_checkpoint
 from baselines.learning.envs import make_envs
-from baselines.learning.policies import TENSORS, Policy, load_policy, save_policy
-from baselines.learning.recipe import RecipeError
+from baselines.learning.fields import RecipeError
+from baselines.learning.policies import TENSORS, Policy, PolicyError, load_policy, save_policy
+from retract_env.errors import SceneError
 from retract_env.task import HIGH, LOW, SIZE
+from retract_env.task.config import Weights
 from tests.baselines.trained import easy_scene, recipe
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -59,6 +62,7 @@ def stopped_after(steps: int) -> Callable[[train.Progress], None]:
 def outcome(folder: Path) -> tuple[Any, bytes]:
     """The last state of all that was learned, and the policy's tensors."""
     state = read_checkpoint(folder / train.CHECKPOINT)
+    del state["seconds"]
     for line in state["curve"]:
         del line["seconds"]
     return plain(state), (folder / train.POLICY / TENSORS).read_bytes()
@@ -96,6 +100,62 @@ def test_a_run_that_stopped_ends_as_it_would_have(
     assert read_checkpoint(tmp_path / train.CHECKPOINT)["agent"]["steps"] == 16
     train.train(train.open_run(tmp_path), tmp_path)
     assert outcome(tmp_path) == outcome(whole(algorithm))
+
+
+@pytest.mark.parametrize("algorithm", ["ppo", "sac"])
+def test_a_run_that_stopped_between_evaluations_ends_as_it_would_have(tmp_path: Path, algorithm: str) -> None:
+    """From a checkpoint that the recipe asks for before the first evaluation."""
+    run = replace(tiny(algorithm), recipe=recipe(algorithm, 48, 32, 16, **TINY[algorithm]))
+    stopped, whole = tmp_path / "stopped", tmp_path / "whole"
+    with pytest.raises(Stop):
+        train.train(run, stopped, stopped_after(16))
+    state = read_checkpoint(stopped / train.CHECKPOINT)
+    assert state["agent"]["steps"] == 16 and state["curve"] == []
+    train.train(train.open_run(stopped), stopped)
+    train.train(run, whole)
+    assert outcome(stopped) == outcome(whole)
+    assert [line["steps"] for line in read_checkpoint(whole / train.CHECKPOINT)["curve"]] == [32, 48]
+
+
+@pytest.mark.parametrize(
+    ("change", "error"),
+    [
+        ({"start": "nope"}, PolicyError),
+        ({"demos": 3}, RecipeError),
+        ({"start": "bc-0"}, RecipeError),  # another network
+    ],
+)
+def test_a_run_that_cannot_begin_leaves_nothing(
+    tmp_path: Path, change: dict[str, Any], error: type[Exception]
+) -> None:
+    with pytest.raises(error):
+        train.train(tiny("ppo", **change), tmp_path / "run")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_scene_that_is_not_there_is_refused_before_anything_is_made(tmp_path: Path) -> None:
+    run = tiny("ppo")
+    data = run.recipe.dump() | {"task": {"scene": "nowhere.yaml"}}
+    with pytest.raises(SceneError, match=r"nowhere\.yaml"):
+        train.train(replace(run, recipe=type(run.recipe).from_data(data)), tmp_path / "run")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_logs_say_what_became_of_episodes(whole: Callable[[str], Path]) -> None:
+    """Shares of each failure, and the reward by its terms: means over episodes."""
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    log = EventAccumulator(str(whole("sac") / train.LOG)).Reload()
+    tags = set(log.Tags()["scalars"])
+    assert {f"rewards/{term}" for term in Weights.model_fields} <= tags
+    shares = {tag: [event.value for event in log.Scalars(tag)] for tag in tags if tag.startswith("failures/")}
+    assert set(shares) == {f"failures/{reason}" for reason in FAILURES}
+    assert all(0 <= sum(values) <= 1 for values in zip(*shares.values(), strict=True))
+
+
+def test_torch_threads_are_set_in_one_place() -> None:
+    sources = [file.read_text("utf-8") for folder in PACKAGES for file in (ROOT / folder).rglob("*.py")]
+    assert sum(source.count("set_num_threads(") for source in sources) == 1
 
 
 def test_a_run_leaves_what_it_says(whole: Callable[[str], Path]) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 import retract_env
-from baselines.learning.recipe import Task
+from baselines.learning.recipe import EnvSettings
 from retract_env.env import TissueRetractEnv
 from retract_env.physics.pool import PhysicsPool
 from retract_env.physics.registry import PHYSICS, PhysicsKind, physics_kind
@@ -46,7 +46,7 @@ def test_what_a_line_says_is_so(kind: PhysicsKind) -> None:
     assert kind.resolution in kind.resolutions
     assert kind.pictures == hasattr(kind.load(), "render_3d")
     assert bool(kind.needs) == bool(kind.install)
-    assert Task(physics=kind.name).physics == kind.name
+    assert EnvSettings(physics=kind.name).physics == kind.name
 
 
 @pytest.mark.parametrize("kind", PHYSICS.values(), ids=list(PHYSICS))
@@ -61,7 +61,7 @@ def test_each_is_made_and_answers(kind: PhysicsKind) -> None:
 def test_one_that_is_added_is_known_everywhere(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(PHYSICS, "still", STILL)
     assert TissueRetractEnv("still").spec is None
-    assert Task(physics="still").physics == "still"
+    assert EnvSettings(physics="still").physics == "still"
     with pytest.raises(ValueError, match=r"^physics = 'jelly', allowed bullet, fem, still$"):
         TissueRetractEnv("jelly")
 
