@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from retract_env.grasp import Grasp
-from retract_env.mesh import SLIVER
+from retract_env.mesh import jaw_range
 from retract_env.scene import Scene
 
 Array = NDArray[np.float64]
@@ -42,8 +42,8 @@ def checked(action: ArrayLike) -> Array:
 def grasp_range(scene: Scene) -> tuple[Array, Array]:
     """Least and greatest (x, compression), (2,) m each, of a grasp whose jaws fit on the flap."""
     tissue, width = scene.tissue, scene.jaws.width
-    # a hair inside what `mesh.patch_ends` accepts, for rounding
-    nearest = -(0.5 + SLIVER) * width * (1 + 1e-6)
+    # a hair inside, because an action is a rounded number
+    nearest = jaw_range(tissue.length, width)[1] * (1 + 1e-6)
     low, high = (share * tissue.height for share in COMPRESSION)
     return np.array([-tissue.length, low]), np.array([nearest, high])
 
