@@ -12,11 +12,12 @@ import planners
 from baselines.jobs.version import code_version
 from baselines.paper.surfaces import surfaces
 from planners import NoPlan
-from planners.certify import Trial
+from planners.base import Candidate
+from planners.certify import Certificate, Trial
 from planners.deform_closure import brute_force
 from planners.light_grip import LightGrip
 from planners.proposals import PATHS, along, stable_grasps
-from planners.search import generate_and_test
+from planners.search import generate_and_test, race
 from retract_env.errors import ConfigError
 from retract_env.grasp import Grasp
 from retract_env.scene import Scene
@@ -71,23 +72,27 @@ def light_grip(scene: Mapping[str, Any], x: float, compression: float, path: str
 
 
 def _retraction(resolution: str, scene: Any, x: float, compression: float, path: str) -> Row:
-    return _tried(Trial, Scene.from_data(scene), Grasp(x, compression), path, resolution)
+    flap, grasp = Scene.from_data(scene), Grasp(x, compression)
+    certificate = planners.certify(flap, grasp, PATHS[path](flap, grasp), resolution)
+    return {"compression": compression, **_measured(certificate)}
 
 
 def _light_grip(resolution: str, scene: Any, x: float, compression: float, path: str) -> Row:
-    return _tried(LightGrip, Scene.from_data(scene), Grasp(x, compression), path, resolution)
+    flap, grasp = Scene.from_data(scene), Grasp(x, compression)
+    contestant = LightGrip(flap, grasp, PATHS[path](flap, grasp))
+    try:
+        (tried,) = race(flap, [contestant], "light_grip", resolution, 1).candidates
+    except NoPlan as none:
+        (tried,) = none.candidates
+    return {"compression": tried.grasp.compression, **_measured(tried)}
 
 
-def _tried(kind: type[Trial], scene: Scene, grasp: Grasp, path: str, resolution: str) -> Row:
-    trial = kind(scene, grasp, PATHS[path](scene, grasp), resolution)
-    trial.squeeze()
-    trial.move()
+def _measured(judged: Certificate | Candidate) -> Row:
     return {
-        "compression": trial.grasp.compression,
-        "reason": trial.reason,
-        "max_strain": trial.max_strain,
-        "required_friction": trial.required_friction,
-        "clearance": trial.clearance,
+        "reason": judged.reason,
+        "max_strain": judged.max_strain,
+        "required_friction": judged.required_friction,
+        "clearance": judged.clearance,
     }
 
 

@@ -71,8 +71,6 @@ class Retraction:
         self.max_strain = 0.0
         self.required_friction = 0.0
         self.physics: FemPhysics | None = None
-        self.optimising = 0.0
-        """s spent on the path before the squeeze, with whose seconds they are counted"""
 
     @property
     def ended(self) -> bool:
@@ -89,9 +87,6 @@ class Retraction:
         each increment; what it raises ends the squeeze. Raises MeshError.
         """
         self.physics = FemPhysics(self.scene, self.grasp.x, self.resolution)
-        if self.optimising:
-            self.physics.seconds["optimisation"] += self.optimising
-            self.optimising = 0.0
         self.frames = [self.physics.state()]
         self.reason, self.max_strain, self.required_friction = None, 0.0, 0.0
         try:
