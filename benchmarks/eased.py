@@ -17,9 +17,10 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks._report import machine, progress, table
-from planners.certify import Trial
+from planners.base import verdict_of
+from planners.certify import Retraction
 from planners.eased import BOUNDS, FIRST, INCREMENTS, PLACES, RADII, SEARCHED_ON, SHARE, eased
-from planners.light_grip import Outcome, least_compression
+from planners.light_grip import least_compression
 from planners.paths import goal_radius
 from retract_env.grasp import Grasp
 from retract_env.scene import LineOfSight, Scene, sample_scene
@@ -58,18 +59,19 @@ def held_at(scene: Scene, place: float, first: float) -> Held | None:
     """The lightest grip that holds at a place, both as in Held; None where there is none."""
     length, height = scene.tissue.length, scene.tissue.height
     strains: dict[float, float] = {}
-
-    def attempt(delta: float) -> Outcome:
+    search = least_compression(first * height, BOUNDS[1] * height, SHARE * scene.limits.friction)
+    delta = next(search)
+    while True:
         grasp = Grasp(-place * length, delta)
-        trial = Trial(scene, grasp, eased(scene, grasp, INCREMENTS), SEARCHED_ON)
-        trial.squeeze()
-        trial.move()
-        strains[delta] = trial.max_strain
-        return Outcome(trial.required_friction, str(trial.reason))
-
-    allowed = SHARE * scene.limits.friction
-    delta, reason = least_compression(attempt, first * height, BOUNDS[1] * height, allowed)
-    return Held(place, delta / height, strains[delta]) if reason == "ok" else None
+        retraction = Retraction(scene, grasp, eased(scene, grasp, INCREMENTS), SEARCHED_ON)
+        retraction.squeeze()
+        retraction.move()
+        strains[delta] = retraction.max_strain
+        try:
+            delta = search.send(verdict_of(retraction))
+        except StopIteration as end:
+            delta, reason = end.value
+            return Held(place, delta / height, strains[delta]) if reason == "ok" else None
 
 
 def all_held(scene: Scene) -> list[Held]:

@@ -14,12 +14,13 @@ import time
 from collections.abc import Sequence
 
 from benchmarks._report import machine, on_one_thread, progress, table
-from planners.certify import Trial
+from planners.base import Contestant, NoPlan
 from planners.elastica.grip import measured_grip
 from planners.elastica.planner import Elastica
 from planners.elastica.program import Unsolved, solve
 from planners.paths import ctc
 from planners.proposals import stable_grasps
+from planners.search import race
 from retract_env.grasp import Grasp
 from retract_env.scene import LineOfSight, Scene, load_scene
 
@@ -42,14 +43,21 @@ TARGET = 1.0
 """s, for the program"""
 
 
-def judged(trial: Trial) -> tuple[float, float]:
-    """eps_max and friction of a trial; nan where it is not certified."""
-    trial.squeeze()
-    if not trial.ended:
-        trial.move()
-    if trial.reason != "ok":
-        return math.nan, math.nan
-    return trial.max_strain, trial.required_friction
+def judged(scene: Scene, contestant: Contestant, resolution: str) -> tuple[float, float, float, float]:
+    """Compression over the height, eps_max, friction, and processor seconds until the last proposal was
+    handed in; nan where it is not certified."""
+    start = time.process_time()
+    try:
+        plan = race(scene, [contestant], "benchmark", resolution, 1)
+    except NoPlan:
+        return math.nan, math.nan, math.nan, time.process_time() - start
+    certificate = plan.certificate
+    return (
+        plan.grasp.compression / scene.tissue.height,
+        certificate.max_strain,
+        certificate.required_friction,
+        plan.timings["proposing"],
+    )
 
 
 def row(scene: Scene, grasp: Grasp, resolution: str) -> tuple[object, ...]:
@@ -63,19 +71,15 @@ def row(scene: Scene, grasp: Grasp, resolution: str) -> tuple[object, ...]:
     program = time.process_time() - start
 
     path = ctc(scene, grasp)
-    trial = Elastica(scene, grasp, path, resolution)
-    start = time.process_time()
-    trial.optimise()
-    everything = time.process_time() - start
-    eps, friction = judged(trial)
-    paper = judged(Trial(scene, grasp, path, resolution))
+    part, eps, friction, everything = judged(scene, Elastica(scene, grasp, path), resolution)
+    _, *paper, _ = judged(scene, Contestant(grasp, path), resolution)
     return (
         f"{1e3 * grasp.x:.1f}",
         program,
         iterations,
         everything,
         strain,
-        trial.grasp.compression / scene.tissue.height if trial.reason == "ok" else math.nan,
+        part,
         f"{eps:.4f} ({paper[0]:.4f})",
         f"{friction:.3f} ({paper[1]:.3f})",
     )

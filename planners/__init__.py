@@ -6,53 +6,69 @@ from collections.abc import Callable, Iterable, Sequence
 from difflib import get_close_matches
 from functools import partial
 
-from planners.base import Candidate, NoPlan, Plan, Planner
-from planners.certify import Certificate, Trial, certify
+from planners.base import Candidate, Contestant, NoPlan, Plan, Planner
+from planners.certify import Certificate, certify
 from planners.deform_closure import closure_grasps
 from planners.eased import plan_eased
 from planners.fem_gradient.planner import plan_fem_gradient
 from planners.light_grip import LightGrip
 from planners.paths import PAPER_PATHS
 from planners.proposals import along, stable_grasps, uniform_grasps
-from planners.search import generate_and_test
+from planners.search import OnUpdate, generate_and_test, race
 from retract_env.grasp import Grasp, JawPath
 from retract_env.scene import Scene
 
 __all__ = ["PLANNERS", "Candidate", "Certificate", "NoPlan", "Plan", "certify", "plan"]
 
 
+Grasps = Callable[[Scene], Iterable[Grasp]]
+
+
 def _search(
     name: str,
-    grasps: Callable[[Scene], Iterable[Grasp]],
+    grasps: Grasps,
     kinds: Sequence[str],
-    trial: Callable[[Scene, Grasp, JawPath, str], Trial],
     scene: Scene,
     *,
     resolution: str,
     workers: int | None,
-    on_update: Callable[[Sequence[Candidate]], None] | None,
+    on_update: OnUpdate | None,
 ) -> Plan:
     """Every grasp with every path of these kinds, generated and tested. Sec. IV."""
     proposals = along(scene, grasps(scene), kinds)
-    return generate_and_test(scene, proposals, name, resolution, workers, on_update, trial=trial)
+    return generate_and_test(scene, proposals, name, resolution, workers, on_update)
 
 
-def _elastica(scene: Scene, grasp: Grasp, path: JawPath, resolution: str) -> Trial:
+def _improve(
+    name: str,
+    contestant: Callable[[Scene, Grasp, JawPath], Contestant],
+    scene: Scene,
+    *,
+    resolution: str,
+    workers: int | None,
+    on_update: OnUpdate | None,
+) -> Plan:
+    """Contestants that begin with the stable grasps and their CTC paths."""
+    contestants = [contestant(scene, *proposal) for proposal in along(scene, stable_grasps(scene), ["ctc"])]
+    return race(scene, contestants, name, resolution, workers, on_update)
+
+
+def _elastica(scene: Scene, grasp: Grasp, path: JawPath) -> Contestant:
     """An `Elastica`, imported when it is wanted, as it needs the extra `optimize`."""
     from planners.elastica.planner import Elastica
 
-    return Elastica(scene, grasp, path, resolution)
+    return Elastica(scene, grasp, path)
 
 
 PLANNERS: dict[str, Planner] = {
     # the paper's, and the paths that it compares with
-    **{kind: partial(_search, kind, stable_grasps, [kind], Trial) for kind in PAPER_PATHS},
-    "exhaustive": partial(_search, "exhaustive", uniform_grasps, PAPER_PATHS, Trial),
-    "light_grip": partial(_search, "light_grip", stable_grasps, ["ctc"], LightGrip),
-    "deform_closure": partial(_search, "deform_closure", closure_grasps, ["ctc"], Trial),
+    **{kind: partial(_search, kind, stable_grasps, [kind]) for kind in PAPER_PATHS},
+    "exhaustive": partial(_search, "exhaustive", uniform_grasps, PAPER_PATHS),
+    "light_grip": partial(_improve, "light_grip", LightGrip),
+    "deform_closure": partial(_search, "deform_closure", closure_grasps, ["ctc"]),
     "eased": plan_eased,
     "fem_gradient": plan_fem_gradient,
-    "elastica": partial(_search, "elastica", stable_grasps, ["ctc"], _elastica),
+    "elastica": partial(_improve, "elastica", _elastica),
 }
 
 
@@ -61,7 +77,7 @@ def plan(
     planner: str = "ctc",
     resolution: str = "fine",
     workers: int | None = None,
-    on_update: Callable[[Sequence[Candidate]], None] | None = None,
+    on_update: OnUpdate | None = None,
 ) -> Plan:
     """Find a retraction that meets all three objectives, certified.
 

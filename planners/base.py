@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from planners.certify import Certificate
+from planners.certify import Certificate, Retraction
 from retract_env.config import brief, unknown_keys
 from retract_env.grasp import Grasp, JawPath
 from retract_env.mesh import RESOLUTIONS
@@ -16,6 +16,8 @@ from retract_env.scene import Scene
 
 PROMISING = "promising"
 """Reason of a candidate that keeps all limits, on a mesh that is too coarse for a certificate."""
+TOO_COSTLY = "too costly"
+"""Reason of a candidate that was given up because it took too much work."""
 
 
 @dataclass
@@ -28,7 +30,8 @@ class Candidate:
     status: str = "waiting"
     """waiting, squeezing, squeezed, moving, done"""
     reason: str | None = None
-    """why it ended: a certificate's reason, "pruned", "unmeshable", or PROMISING; None while under way"""
+    """why it ended: a certificate's reason, "pruned", "unmeshable", TOO_COSTLY, PROMISING, or in a planner's
+    own words; None while under way"""
     max_strain: float = math.nan
     """eps_max so far"""
     required_friction: float = math.nan
@@ -56,6 +59,60 @@ class Candidate:
             "clearance": number(self.clearance),
             "increments": self.increments,
         }
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What became of a retraction, as its planner hears it."""
+
+    reason: str
+    """as `Candidate.reason`"""
+    max_strain: float = math.nan
+    required_friction: float = math.nan
+    """as far as the retraction went"""
+    clearance: float = math.nan
+    """m"""
+    progress: float = math.nan
+    """in waypoints, of the last equilibrium; 0: none was found with the jaws closed at all"""
+
+
+def verdict_of(retraction: Retraction, reason: str | None = None) -> Verdict:
+    """Verdict on a retraction that ended; reason: why it was given up, where it did not end by itself."""
+    reason = retraction.reason if reason is None else reason
+    assert reason is not None, "a verdict is final"
+    progress = retraction.frames[-1].progress if retraction.frames else math.nan
+    strain, friction = retraction.max_strain, retraction.required_friction
+    return Verdict(reason, strain, friction, retraction.clearance, progress)
+
+
+Proposals = Generator[tuple[Grasp, JawPath], Verdict, Verdict | None]
+"""What a contestant hands in one after the other, each answered by the verdict on it. Returns None where the
+last verdict is to stand, or a verdict of its own, never "ok", where it withdraws."""
+
+
+class Contestant:
+    """Hands retractions to the judge and hears the verdicts; this one hands in one and is content with it.
+
+    A planner that tries things owns `Retraction`s, at whatever limits and resolution help it.
+    """
+
+    doubt = 0.0
+    """A retraction that strains more than the best certified one by up to this part of it is followed on: the
+    next proposal may strain less."""
+    least_strain = 0.0
+    """No proposal will strain less, as far as is known before the judge has looked; 0: nothing is known."""
+
+    def __init__(self, grasp: Grasp, path: JawPath):
+        """What it begins with."""
+        self.grasp, self.path = grasp, path
+
+    def propose(self, on_increment: Callable[[], None]) -> Proposals:  # noqa: ARG002, it tries nothing itself
+        """on_increment: to be called at each increment of what it tries itself; what it raises ends that.
+
+        Diverged, MeshError and TooCostly may leave it, and are then the reason why it gave up.
+        """
+        yield self.grasp, self.path
+        return None
 
 
 @dataclass(frozen=True)

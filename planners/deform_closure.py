@@ -26,7 +26,7 @@ from retract_env.fem.linear import cholesky
 from retract_env.fem.model import FlapModel
 from retract_env.fem.prism import Prism, depth_breaks
 from retract_env.grasp import Grasp
-from retract_env.mesh import SLIVER, Resolution, section_mesh
+from retract_env.mesh import Resolution, jaw_range, section_mesh
 from retract_env.objectives import strain, worst_mean
 from retract_env.scene import Scene
 from retract_env.spring import optimal_compression
@@ -72,7 +72,7 @@ def brute_force(scene: Scene, pairs: int = PAIRS, nodes: int = NODES) -> Closure
     tissue, width = scene.tissue, scene.jaws.width
     section = section_mesh(scene, None, _resolution(scene, nodes))
     model = FlapModel(scene, section, None)
-    x = np.linspace(-tissue.length + width / 2, -(0.5 + SLIVER) * width, pairs)
+    x = np.linspace(*jaw_range(tissue.length, width), pairs)
     assembly = model.assembly
     factor = cholesky(assembly.indptr, assembly.indices)
     factor.factorize(assembly.tangent(np.zeros(assembly.size)))

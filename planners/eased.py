@@ -9,17 +9,19 @@ it. A slight pull along the flap, finally, takes strain off the side that bendin
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from planners import paths
-from planners.base import PROMISING, Candidate, NoPlan, Plan
-from planners.certify import Trial
-from planners.search import OnUpdate, generate_and_test
+from planners.base import PROMISING, TOO_COSTLY, Candidate, Contestant, NoPlan, Plan, Proposals
+from planners.certify import Retraction
+from planners.effort import TooCostly, retract
+from planners.search import OnUpdate, race
+from retract_env.errors import MeshError
 from retract_env.grasp import Grasp, JawPath
-from retract_env.mesh import SLIVER
+from retract_env.mesh import jaw_range
 from retract_env.scene import Scene
 
 TURN = 0.82
@@ -71,7 +73,7 @@ def eased(scene: Scene, grasp: Grasp, increments: int = paths.INCREMENTS) -> Jaw
 
 @dataclass
 class _Search:
-    """Trials on the coarse mesh, all of them and those that hold."""
+    """Retractions tried on the coarse mesh, all of them and those that hold."""
 
     scene: Scene
     on_update: OnUpdate | None = None
@@ -81,25 +83,44 @@ class _Search:
     def attempt(self, x: float, compression: float) -> Candidate:
         """Retract from x, m, with a compression over the height."""
         grasp = Grasp(x, compression * self.scene.tissue.height)
-        trial = Trial(self.scene, grasp, eased(self.scene, grasp, INCREMENTS), SEARCHED_ON)
-        trial.squeeze()
-        if not trial.ended:
-            trial.move()
-        candidate = Candidate(
-            len(self.tried),
-            grasp,
-            trial.path,
-            "done",
-            PROMISING if trial.reason == "ok" else trial.reason,
-            trial.max_strain,
-            trial.required_friction,
-            trial.clearance,
-            len(trial.frames) - 1,
-        )
+        path = eased(self.scene, grasp, INCREMENTS)
+        tried = Retraction(self.scene, grasp, path, SEARCHED_ON)
+        candidate = Candidate(len(self.tried), grasp, path, "done")
+        try:
+            retract(tried, lambda: None)
+        except MeshError:
+            candidate.reason = "unmeshable"
+        except TooCostly:
+            candidate.reason = TOO_COSTLY
+        else:
+            candidate.reason = PROMISING if tried.reason == "ok" else tried.reason
+            candidate.max_strain, candidate.required_friction = tried.max_strain, tried.required_friction
+            candidate.clearance, candidate.increments = tried.clearance, len(tried.frames) - 1
         self.tried.append(candidate)
         if self.on_update is not None:
             self.on_update(self.tried)
         return candidate
+
+    @property
+    def best_first(self) -> list[Grasp]:
+        """Grasps that hold, of least strain first."""
+        return [c.grasp for c in sorted(self.holds, key=lambda c: (c.max_strain, c.index))]
+
+
+class InTurn(Contestant):
+    """Hands in an eased path from one grasp after the other, until one is certified."""
+
+    def __init__(self, scene: Scene, grasps: Sequence[Grasp]):
+        super().__init__(grasps[0], eased(scene, grasps[0]))
+        self.scene, self.grasps = scene, grasps
+
+    def propose(self, on_increment: Callable[[], None]) -> Proposals:  # noqa: ARG002, the judge tries
+        """One after the other."""
+        for grasp in self.grasps:
+            verdict = yield grasp, eased(self.scene, grasp)
+            if verdict.reason == "ok":
+                break
+        return None
 
 
 def plan_eased(
@@ -111,29 +132,18 @@ def plan_eased(
 ) -> Plan:
     """Search on the coarse mesh, then hand in the first that is certified. Raises NoPlan."""
     searched = search(scene, on_update)
-    tried = list(searched.tried)
-    for held in sorted(searched.holds, key=lambda c: (c.max_strain, c.index)):
-        proposal = held.grasp, eased(scene, held.grasp)
-        try:
-            plan = generate_and_test(scene, [proposal], "eased", resolution, workers, after(tried, on_update))
-        except NoPlan as none:
-            tried += none.candidates
-        else:
-            return replace(plan, candidates=(*tried, *plan.candidates))
-    raise NoPlan(tried)
-
-
-def after(tried: Sequence[Candidate], on_update: OnUpdate | None) -> OnUpdate | None:
-    """An on_update for later candidates that shows those tried before them too."""
-    return None if on_update is None else lambda candidates: on_update([*tried, *candidates])
+    if not searched.holds:
+        raise NoPlan(searched.tried)
+    contestants = [InTurn(scene, searched.best_first)]
+    return race(scene, contestants, "eased", resolution, workers, on_update, tried=searched.tried)
 
 
 def search(scene: Scene, on_update: OnUpdate | None = None) -> _Search:
     """Try compressions on the coarse mesh, and another place where none holds."""
-    tissue, line, width = scene.tissue, scene.line_of_sight, scene.jaws.width
+    tissue, line = scene.tissue, scene.line_of_sight
     radius = paths.goal_radius(line.camera, line.target) / tissue.length
     place, first = (float(np.interp(radius, RADII, values)) for values in (PLACES, FIRST))
-    low, high = -tissue.length + width / 2, -(0.5 + SLIVER) * width * (1 + 1e-6)
+    low, high = jaw_range(tissue.length, scene.jaws.width)
     under_way = _Search(scene, on_update)
     for aside in ASIDE:
         _compressions(under_way, float(np.clip(-(place + aside) * tissue.length, low, high)), first)

@@ -4,18 +4,21 @@ Eq. 5 closes the jaws by an energy balance that knows nothing of friction. A fir
 more and needs less friction, a lighter one the other way round, both without a turn. So for each grasp and
 path there is one least compression that still holds, and it costs the least strain.
 
-It is sought by trial: on a coarse mesh first, which costs little and is within a few per cent, then on the
-mesh that certifies. What the grip needs must stay `MARGIN` below the limit, because the finite elements know
-jaw forces only to within 3 % and a real grip slips without warning.
+It is sought by trial: on a coarse mesh first, which costs little and is within a few per cent, then by
+handing grips to the judge, until its verdict is that one needs just the friction allowed. What the grip needs
+must stay `MARGIN` below the limit, because the finite elements know jaw forces only to within 3 % and a real
+grip slips without warning.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Generator
+from dataclasses import replace
 
-from planners.certify import Trial
+from planners.base import Contestant, Proposals, Verdict, verdict_of
+from planners.certify import Retraction
+from planners.effort import retract
 from planners.paths import PATHS
 from retract_env.grasp import Grasp, JawPath
 from retract_env.scene import Limits, Scene
@@ -27,34 +30,29 @@ TOLERANCE = 0.02
 SEARCHED_ON = "coarse"
 DOUBT = 0.1
 """Strain on that mesh, less this part, bounds the certified one from below: it is at most 6 % too high there.
-And what a trial exceeds the best certified strain by before it is dropped: the next one may be lighter."""
+And by what part a grip may strain more than the best certified one before it is dropped: the next one may be
+lighter."""
 MOST_TRIALS = 10
 LIFTED = 5.0
-"""Friction limit of the trials, which are to say how much is needed; the highest that a scene may have."""
+"""Friction limit on that mesh, to see how much is needed; the highest that a scene may have."""
 FIRMEST = 0.9
 """Greatest compression, over the flap's height."""
+MENDABLE = ("ok", "slip", "release", "strain", "diverged")
+"""Reasons that may change with the compression; others end the search."""
 SHUT = 1.05
 """No grip is sought between one that slips and one that breaks another limit, once they are this close."""
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """What a retraction with some compression came to."""
-
-    friction: float
-    """needed, as far as the retraction went"""
-    reason: str
-    """of REASONS, or "pruned" """
+Compressions = Generator[float, Verdict, tuple[float, str]]
 
 
-def least_compression(
-    attempt: Callable[[float], Outcome], start: float, most: float, allowed: float
-) -> tuple[float, str]:
+def least_compression(start: float, most: float, allowed: float) -> Compressions:
     """Least compression, m, that needs no more friction than allowed, and "ok"; else the reason why not.
 
-    attempt: says what becomes of a compression; start, most: m, the first and an upper bound. Friction falls
-    with compression about as its inverse, so the search is a secant in logarithms, kept in its bracket; the
-    compression returned with "ok" has been attempted, and holds even where the search did not close in.
+    Yields compressions to try, and is sent what became of each. start, most: m, the first and an upper bound.
+    Friction falls with compression about as its inverse, so the search is a secant in logarithms, kept in its
+    bracket; the compression returned with "ok" has been tried, and holds even where the search did not close
+    in.
     """
     aim = math.log(allowed * (1 - TOLERANCE / 2))
     loose: tuple[float, float] | None = None  # logarithms of compression and friction
@@ -62,21 +60,21 @@ def least_compression(
     broken, why = math.log(most), "slip"  # the firmest grip, and what a firmer one breaks
     delta = start
     for _ in range(MOST_TRIALS):
-        outcome, x = attempt(delta), math.log(delta)
-        torn = (
-            outcome.reason == "strain" and outcome.friction > allowed
-        )  # a lighter grip slips, a firmer tears
-        if torn or outcome.reason in ("pruned", "not_visible"):
-            return delta, outcome.reason
-        y = math.log(min(max(outcome.friction, 1e-3 * allowed), 1e3 * allowed))
-        if outcome.friction > allowed:
+        verdict, x = (yield delta), math.log(delta)
+        friction = verdict.required_friction
+        torn = verdict.reason == "strain" and friction > allowed  # a lighter grip slips, a firmer tears
+        restless = verdict.reason == "diverged" and verdict.progress == 0  # whatever the jaws do
+        if torn or restless or verdict.reason not in MENDABLE:
+            return delta, verdict.reason
+        y = math.log(min(max(friction, 1e-3 * allowed), 1e3 * allowed))
+        if friction > allowed:
             loose = x, y
-        elif outcome.reason == "ok":
+        elif verdict.reason == "ok":
             firm = x, y
-            if outcome.friction >= allowed * (1 - TOLERANCE):
+            if friction >= allowed * (1 - TOLERANCE):
                 return delta, "ok"
         else:
-            broken, why = x, outcome.reason
+            broken, why = x, verdict.reason
         if loose and firm:
             part = (loose[1] - aim) / (loose[1] - firm[1])
             x = loose[0] + min(0.9, max(0.1, part)) * (firm[0] - loose[0])
@@ -92,73 +90,67 @@ def least_compression(
     return (math.exp(firm[0]), "ok") if firm else (delta, why)
 
 
-class LightGrip(Trial):
-    """A retraction whose compression is found while it is tried; the grasp proposed is where the search
-    begins.
+class LightGrip(Contestant):
+    """Hands in the lightest grip that holds at a place; the compression that it begins with is where it
+    searches from."""
 
-    `squeeze` searches on the coarse mesh, `move` on the one asked for, to the certificate.
-    """
+    doubt = DOUBT
 
-    def __init__(self, scene: Scene, grasp: Grasp, path: JawPath, resolution: str = "fine"):
-        """Raises ValueError as a Trial, and for a path of a kind that is not in PATHS."""
-        super().__init__(scene, grasp, path, resolution)
+    def __init__(self, scene: Scene, grasp: Grasp, path: JawPath):
+        """Raises ValueError for a path of a kind that is not in PATHS."""
+        super().__init__(grasp, path)
         if path.kind not in PATHS:
             raise ValueError(f"path.kind = {path.kind!r}, allowed {', '.join(PATHS)}")
-        self._asked = scene
-        limits = Limits(strain=scene.limits.strain, friction=LIFTED)
-        self._lifted = scene.model_copy(update={"limits": limits})
+        self.scene = scene
+        self._lifted = Limits(strain=scene.limits.strain, friction=LIFTED)
         self._allowed = (1 - MARGIN) * scene.limits.friction
         self._most = FIRMEST * scene.tissue.height
-        self._searched = False
 
-    def squeeze(self, on_increment: Callable[[], None] = lambda: None) -> None:
-        """Find the compression on the coarse mesh; its strain there bounds from below what can be
-        certified."""
-        if self._searched:
-            return
-        trials: list[Trial] = []
+    def propose(self, on_increment: Callable[[], None]) -> Proposals:
+        """Search on the coarse mesh, then from there with the judge."""
+        tried: list[Retraction] = []
+        grips = self._grips(self.grasp.compression)
+        grasp, path = next(grips)
+        while True:
+            retraction = Retraction(self.scene, grasp, path, SEARCHED_ON, self._lifted)
+            retract(retraction, on_increment)
+            retraction.physics, retraction.frames = None, retraction.frames[-1:]
+            tried.append(retraction)
+            try:
+                grasp, path = grips.send(verdict_of(retraction))
+            except StopIteration as end:
+                delta, reason = end.value
+                break
+        best = min(tried, key=lambda r: abs(r.grasp.compression - delta))
+        if reason != "ok":
+            self.grasp, self.path = best.grasp, best.path
+            return verdict_of(best, reason)
+        self.least_strain = (1 - DOUBT) * best.max_strain
+        grips = self._grips(delta)
+        grasp, path = next(grips)
+        while True:
+            verdict = yield grasp, path
+            try:
+                grasp, path = grips.send(verdict)
+            except StopIteration as end:
+                delta, reason = end.value
+                break
+        if reason == "ok" and delta != grasp.compression:
+            yield self._closed_by(delta)  # the last proposal is what stands
+            return None
+        return None if reason == verdict.reason else replace(verdict, reason=reason)
 
-        def attempt(delta: float) -> Outcome:
-            self._close_by(delta)
-            trial = Trial(self._lifted, self.grasp, self.path, SEARCHED_ON)
-            trial.squeeze(on_increment)
-            trial.move()
-            trials.append(trial)
-            return Outcome(trial.required_friction, str(trial.reason))
+    def _grips(self, start: float) -> Generator[tuple[Grasp, JawPath], Verdict, tuple[float, str]]:
+        """`least_compression`, as grasps with their paths."""
+        search = least_compression(start, self._most, self._allowed)
+        delta = next(search)
+        while True:
+            verdict = yield self._closed_by(delta)
+            try:
+                delta = search.send(verdict)
+            except StopIteration as end:
+                return end.value
 
-        delta, reason = least_compression(attempt, self.grasp.compression, self._most, self._allowed)
-        self._close_by(delta)
-        best = min(trials, key=lambda t: abs(t.grasp.compression - delta))
-        self.reason = None if reason == "ok" else reason
-        self.frames, self.required_friction = best.frames[-1:], best.required_friction
-        self.max_strain = (1 - DOUBT) * best.max_strain
-        self.physics = best.physics
-        for trial in trials:
-            if trial is not best and trial.physics is not None and best.physics is not None:
-                for kind, seconds in trial.physics.seconds.items():
-                    best.physics.seconds[kind] += seconds
-        self._searched = True
-
-    def move(
-        self, bound: Callable[[], float] = lambda: math.inf, on_increment: Callable[[], None] = lambda: None
-    ) -> None:
-        """Find it on the mesh asked for, to the certificate; grips that strain well above the bound are
-        dropped."""
-        if self.ended:
-            return
-
-        def attempt(delta: float) -> Outcome:
-            self._close_by(delta)
-            self.limits = self._lifted.limits
-            super(LightGrip, self).squeeze()
-            super(LightGrip, self).move(lambda: (1 + DOUBT) * bound(), on_increment)
-            return Outcome(self.required_friction, str(self.reason))
-
-        delta, self.reason = least_compression(attempt, self.grasp.compression, self._most, self._allowed)
-        if self.reason == "ok" and delta != self.grasp.compression:
-            self.reason = attempt(delta).reason
-        self.limits = self._asked.limits  # the certificate is to name them
-
-    def _close_by(self, delta: float) -> None:
-        self.grasp = Grasp(self.grasp.x, delta, self.grasp.score)
-        self.path = PATHS[self.path.kind](self._asked, self.grasp)
+    def _closed_by(self, delta: float) -> tuple[Grasp, JawPath]:
+        grasp = Grasp(self.grasp.x, delta, self.grasp.score)
+        return grasp, PATHS[self.path.kind](self.scene, grasp)

@@ -9,7 +9,7 @@ import numpy as np
 
 from planners.paths import PATHS
 from retract_env.grasp import Grasp, JawPath
-from retract_env.mesh import SLIVER
+from retract_env.mesh import jaw_range
 from retract_env.scene import Scene
 from retract_env.spring import SpringModel, optimal_compression
 
@@ -31,10 +31,10 @@ def uniform_grasps(scene: Scene, samples: int = UNIFORM) -> list[Grasp]:
     """
     if samples < 1:
         raise ValueError(f"samples = {samples}, allowed 1 or more")
-    tissue, width = scene.tissue, scene.jaws.width
+    tissue = scene.tissue
     model = SpringModel(tissue)
     basins = model.basins()
-    low, high = -tissue.length + width / 2, -(0.5 + SLIVER) * width
+    low, high = jaw_range(tissue.length, scene.jaws.width)
     places = np.unique(np.clip(-tissue.length * np.arange(1, samples + 1) / samples, low, high))
 
     def grasp(x: float) -> Grasp:

@@ -34,7 +34,7 @@ FLOORS = {
         "physics", "task", "rollout", "drawing", "env",
     ),
     "planners": (
-        "certify", "paths", "base", "proposals", "search", "deform_closure", "light_grip", "eased",
+        "certify", "paths", "base", "effort", "proposals", "search", "deform_closure", "light_grip", "eased",
         "elastica", "fem_gradient",
     ),
     "baselines": ("jobs", "pictures", "learning", "benchmark", "paper", "cli"),

@@ -12,6 +12,7 @@ from rich.console import Console
 
 from baselines.paper.reproduce import names, reproduce
 from baselines.paper.studies import STUDIES
+from planners import PLANNERS, certify
 from planners.paths import PATHS
 from retract_env.physics.registry import PHYSICS
 
@@ -55,3 +56,14 @@ def test_a_physics(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixtur
     finally:
         for name in set(gym.registry) - registered:
             del gym.registry[name]
+
+
+def test_a_planner(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setitem(PLANNERS, "firmer", PLANNERS["ctc"])  # taken out again after the test
+    space: dict[str, Any] = {}
+    exec(compile(example("A planner"), "a planner", "exec"), space)
+    assert PLANNERS["firmer"] is space["plan_firmer"]
+    assert capsys.readouterr().out.strip() == "ok 3"
+    best = space["best"]
+    judged = certify(space["scene"], best.grasp, best.path, "coarse")
+    assert judged.to_json() == best.certificate.to_json()

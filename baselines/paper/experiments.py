@@ -10,7 +10,6 @@ from typing import Any
 
 from baselines.jobs.journal import Row
 from baselines.jobs.version import code_version
-from planners.certify import Trial
 from planners.paths import PATHS
 from retract_env.errors import ConfigError
 from retract_env.grasp import Grasp
@@ -66,18 +65,16 @@ def retraction(scene: Mapping[str, Any], x: float, compression: float, path: str
 
 def certified(resolution: str, scene: Any, x: float, compression: float, path: str) -> Row:
     """What becomes of a grasp, m, with a path in PATHS."""
-    return tried(Trial, Scene.from_data(scene), Grasp(x, compression), path, resolution)
+    flap, grasp = Scene.from_data(scene), Grasp(x, compression)
+    certificate = certify(flap, grasp, PATHS[path](flap, grasp), resolution)
+    return {"compression": compression, **measured(certificate)}
 
 
-def tried(kind: type[Trial], scene: Scene, grasp: Grasp, path: str, resolution: str) -> Row:
-    """The row of a trial that has gone to its end."""
-    trial = kind(scene, grasp, PATHS[path](scene, grasp), resolution)
-    trial.squeeze()
-    trial.move()
+def measured(judged: Certificate | Candidate) -> Row:
+    """What a row says of a retraction that has gone to its end."""
     return {
-        "compression": trial.grasp.compression,
-        "reason": trial.reason,
-        "max_strain": trial.max_strain,
-        "required_friction": trial.required_friction,
-        "clearance": trial.clearance,
+        "reason": judged.reason,
+        "max_strain": judged.max_strain,
+        "required_friction": judged.required_friction,
+        "clearance": judged.clearance,
     }

@@ -89,8 +89,6 @@ class Retraction:
         self.max_strain = 0.0
         self.required_friction = 0.0
         self.physics: FemPhysics | None = None
-        self.optimising = 0.0
-        """s spent on finding the path before the squeeze; added to the time of the squeeze"""
 
     @property
     def ended(self) -> bool:
@@ -107,9 +105,6 @@ class Retraction:
         each increment; what it raises ends the squeeze. Raises MeshError.
         """
         self.physics = physics = FemPhysics(self.scene, self.grasp.x, self.resolution)
-        if self.optimising:
-            physics.seconds["optimisation"] += self.optimising
-            self.optimising = 0.0
         self.reason, self.max_strain, self.required_friction = None, 0.0, 0.0
         self.frames, self._shapes = [physics.state()], [physics.displacements]
         found: str | None = None

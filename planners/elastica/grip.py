@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,8 +28,10 @@ class Grip:
     """eps_1%"""
 
 
-def measured_grip(scene: Scene, grasp: Grasp) -> Grip:
+def measured_grip(scene: Scene, grasp: Grasp, on_increment: Callable[[], None] = lambda: None) -> Grip:
     """The grip at one place, from a coarse finite-element model squeezed there. Raises Diverged, MeshError.
+
+    on_increment: called before each squeeze; what it raises ends the measuring.
 
     Both curves are nearly straight: the normal force of the paper's flap is 2.2 E w d c away from its ends, w
     the jaws' width, and 1.6 at the free end; eps_1% is 1.2 c.
@@ -38,7 +40,10 @@ def measured_grip(scene: Scene, grasp: Grasp) -> Grip:
     physics = FemPhysics(scene, grasp.x, "coarse")
     physics.reset()
     parts = np.array(SQUEEZES) * grasp.compression / height
-    states = [physics.move_to(np.array([grasp.x, height / 2, 0.0, height * (1 - c)])) for c in parts]
+    states = []
+    for c in parts:
+        on_increment()
+        states.append(physics.move_to(np.array([grasp.x, height / 2, 0.0, height * (1 - c)])))
     pressing = [-(s.reactions * s.normals).sum() / 2 for s in states]
     return Grip(_curve(parts, pressing), _curve(parts, [s.max_strain for s in states]))
 

@@ -8,17 +8,16 @@ corrections do. Strain is not corrected: the rod's is as good as a fine mesh's.
 
 from __future__ import annotations
 
-import math
-import time
 from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planners.certify import Trial
+from planners.base import Contestant, Proposals, Verdict
+from planners.certify import Retraction
+from planners.effort import retract
 from planners.elastica.grip import measured_grip
 from planners.elastica.program import INCREMENTS, KIND, POSES, RESERVE, Unsolved, jaw_path, solve
-from retract_env.errors import Diverged
 from retract_env.grasp import Grasp, JawPath, to_pose
 from retract_env.physics.base import TissueState
 from retract_env.scene import Limits, Scene
@@ -31,20 +30,25 @@ ROUNDS = 3
 ENOUGH = (1 + RESERVE) / 2
 """Part of the friction limit that a trial may need; finer meshes need up to 4 % more."""
 FIRMER = 1.05
-"""By how much the jaws close further where the certifier sees them slip, at most MOST_FIRMER times."""
+"""By how much the jaws close further where the judge saw them slip, at most MOST_FIRMER times."""
 MOST_FIRMER = 3
 
 
-def optimise(scene: Scene, grasp: Grasp) -> tuple[Grasp, JawPath]:
+def optimise(
+    scene: Scene, grasp: Grasp, on_increment: Callable[[], None] = lambda: None
+) -> tuple[Grasp, JawPath]:
     """Grip and path of least strain at one grasp, whose compression only says where the grip is measured.
 
-    Raises Unsolved, and Diverged or MeshError where the finite elements cannot squeeze the flap there.
+    on_increment: called at each increment on the finite elements and before each program; what it raises ends
+    the work. Raises Unsolved, and Diverged, MeshError or TooCostly where the finite elements cannot squeeze
+    or follow the flap there.
     """
-    grip = measured_grip(scene, grasp)
-    lenient = scene.model_copy(update={"limits": Limits(strain=0.99, friction=5.0)})
+    grip = measured_grip(scene, grasp, on_increment)
+    lenient = Limits(strain=0.99, friction=5.0)
     optimum, correction = None, None
     tried: list[tuple[bool, float, Grasp, JawPath]] = []
     for _ in range(ROUNDS):
+        on_increment()
         try:
             optimum = solve(scene, grasp, grip, correction, optimum)
         except Unsolved:
@@ -52,9 +56,8 @@ def optimise(scene: Scene, grasp: Grasp) -> tuple[Grasp, JawPath]:
                 raise
             break
         held, path = Grasp(grasp.x, optimum.compression, grasp.score), jaw_path(scene, optimum)
-        trial = Trial(lenient, held, path, TRIED_ON)
-        trial.squeeze()
-        trial.move()
+        trial = Retraction(scene, held, path, TRIED_ON, lenient)
+        retract(trial, on_increment)
         tried.append((trial.reason != "ok", trial.required_friction, held, path))
         if trial.reason == "ok" and trial.required_friction <= ENOUGH * scene.limits.friction:
             break
@@ -83,40 +86,27 @@ def jaw_forces(frames: Sequence[TissueState]) -> Array:
     return forces
 
 
-class Elastica(Trial):
-    """A trial of the optimum at a grasp. The path that comes with the grasp is not followed."""
+class Elastica(Contestant):
+    """Hands in the optimum at a grasp; where the judge sees the jaws slip, again with them closed a little
+    further. The path that it begins with is not followed."""
 
-    def optimise(self) -> None:
-        """Replace grasp and path by the optimum. Where none is found, the reason says why."""
+    def __init__(self, scene: Scene, grasp: Grasp, path: JawPath):
+        super().__init__(grasp, path)
+        self.scene = scene
+
+    def propose(self, on_increment: Callable[[], None]) -> Proposals:
+        """Optimise, then close further while that slips."""
         try:
-            self.grasp, self.path = optimise(self.scene, self.grasp)
+            grasp, path = optimise(self.scene, self.grasp, on_increment)
         except Unsolved as problem:
-            self.reason = f"unsolved ({problem})"
-        except Diverged:
-            self.reason = "diverged"
-
-    def squeeze(self, on_increment: Callable[[], None] = lambda: None) -> None:
-        """Optimise, the first time, then squeeze."""
-        start = time.perf_counter()
-        if self.path.kind != KIND:
-            self.optimise()
-            if self.ended:
-                return
-        self.optimising = time.perf_counter() - start
-        super().squeeze(on_increment)
-
-    def move(
-        self, bound: Callable[[], float] = lambda: math.inf, on_increment: Callable[[], None] = lambda: None
-    ) -> None:
-        """Follow the path; where the jaws slip, again with the jaws closed a little further."""
-        super().move(bound, on_increment)
+            return Verdict(f"unsolved ({problem})")
+        verdict = yield grasp, path
         for _ in range(MOST_FIRMER):
-            if self.reason != "slip":
-                return
-            compression = FIRMER * self.grasp.compression
-            poses = self.path.poses.copy()
-            poses[1:, 3] = self.scene.tissue.height - compression
-            self.grasp = Grasp(self.grasp.x, compression, self.grasp.score)
-            self.path = JawPath.from_poses(poses, KIND)
-            self.squeeze()
-            super().move(bound, on_increment)
+            if verdict.reason != "slip":
+                return None
+            grasp = Grasp(grasp.x, FIRMER * grasp.compression, grasp.score)
+            poses = path.poses.copy()
+            poses[1:, 3] = self.scene.tissue.height - grasp.compression
+            path = JawPath.from_poses(poses, KIND)
+            verdict = yield grasp, path
+        return None

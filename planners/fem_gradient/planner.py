@@ -18,7 +18,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -28,13 +27,13 @@ from numpy.typing import NDArray
 from scipy.optimize import linprog
 
 from planners import eased, paths
-from planners.base import NoPlan, Plan
-from planners.certify import Trial
+from planners.base import Contestant, Plan, Proposals
+from planners.effort import TooCostly
 from planners.fem_gradient.sensitivity import LinearStrain, Response, Sensitivity
-from planners.search import OnUpdate, cores, generate_and_test
+from planners.search import OnUpdate, Stop, cores, race, side_by_side
 from retract_env.errors import Diverged, MeshError
 from retract_env.grasp import Grasp, JawPath
-from retract_env.mesh import SLIVER
+from retract_env.mesh import jaw_range
 from retract_env.objectives import WORST_FRACTION, worst_mean
 from retract_env.physics.fem import FemPhysics
 from retract_env.scene import Scene
@@ -153,8 +152,18 @@ class Standing:
 class Program:
     """Least strain at one place of the grasp, on one mesh."""
 
-    def __init__(self, scene: Scene, x: float, unknowns: Array, resolution: str):
-        """unknowns: (11,) to begin with, whose path is followed once. Raises Diverged, MeshError."""
+    def __init__(
+        self,
+        scene: Scene,
+        x: float,
+        unknowns: Array,
+        resolution: str,
+        on_increment: Callable[[], None] = lambda: None,
+    ):
+        """unknowns: (11,) to begin with, whose path is followed once; on_increment: called before each pose
+        that is solved, here and later; what it raises ends the work. Raises Diverged, MeshError, TooCostly.
+        """
+        self._on_increment = on_increment
         self.scene, self.x, self.unknowns = scene, x, np.clip(unknowns, LOW, HIGH)
         self.friction = RESERVE * scene.limits.friction
         physics = FemPhysics(scene, x, resolution)
@@ -165,6 +174,7 @@ class Program:
         physics.move_to((open_jaws + poses[0]) / 2)
         self.responses: list[Response] = []
         for pose, at in zip(poses, TIMES.tolist(), strict=True):
+            on_increment()
             physics.move_to(pose, 1.0 + at)
             self.responses.append(self.sensitivity.settled(pose, physics.displacements))
             if at == 0.0:
@@ -202,8 +212,11 @@ class Program:
             trial = np.clip(self.unknowns + UNITS * step, LOW, HIGH)
             poses = motion(self.scene, self.x, trial, TIMES)
             self.evaluations += 1
+            responses = []
             try:
-                responses = [self.sensitivity.at(p, r) for p, r in zip(poses, self.responses, strict=True)]
+                for pose, response in zip(poses, self.responses, strict=True):
+                    self._on_increment()
+                    responses.append(self.sensitivity.at(pose, response))
             except Diverged:
                 radius /= 4
                 continue
@@ -289,45 +302,28 @@ class Program:
         return np.concatenate(slack), np.concatenate(slope)
 
 
-class Polished(Trial):
-    """A trial whose path is improved on its own mesh before, and again where it needs too much friction."""
+class Polished(Contestant):
+    """Hands in a path that is improved on the mesh of the judge, and again where the judge saw it need too
+    much friction."""
 
     def __init__(self, scene: Scene, x: float, unknowns: Array, resolution: str):
-        super().__init__(scene, *jaw_path(scene, x, unknowns), resolution)
-        self._begin = unknowns
-        self._program: Program | None = None
+        """unknowns: (11,) to begin with."""
+        super().__init__(*jaw_path(scene, x, unknowns))
+        self.scene, self.begin, self.resolution = scene, unknowns, resolution
 
-    def squeeze(self, on_increment: Callable[[], None] = lambda: None) -> None:
-        """Improve the path, the first time, then squeeze. Raises MeshError."""
-        start = time.perf_counter()
-        if self._program is None:
-            try:
-                self._program = Program(self.scene, self.grasp.x, self._begin, self.resolution)
-            except Diverged:
-                self.reason = "diverged"
-                return
-            self._improve(self._program)
-        self.optimising = time.perf_counter() - start
-        super().squeeze(on_increment)
-
-    def move(
-        self, bound: Callable[[], float] = lambda: math.inf, on_increment: Callable[[], None] = lambda: None
-    ) -> None:
-        """Follow the path; where it needs too much friction, again with as much less to use."""
-        super().move(bound, on_increment)
+    def propose(self, on_increment: Callable[[], None]) -> Proposals:
+        """Improve the path; where it needs too much friction, again with as much less to use."""
+        program = Program(self.scene, self.grasp.x, self.begin, self.resolution, on_increment)
+        program.solve()
+        verdict = yield jaw_path(self.scene, program.x, program.unknowns)
         allowed = ENOUGH * self.scene.limits.friction
         for _ in range(CORRECTIONS):
-            if self.reason not in ("ok", "slip") or self.required_friction <= allowed:
-                return
-            assert self._program is not None
-            self._program.friction *= min(0.99, max(0.9, allowed / self.required_friction))
-            self._improve(self._program)
-            super().squeeze()
-            super().move(bound, on_increment)
-
-    def _improve(self, program: Program) -> None:
-        program.solve()
-        self.grasp, self.path = jaw_path(self.scene, self.grasp.x, program.unknowns)
+            if verdict.reason not in ("ok", "slip") or verdict.required_friction <= allowed:
+                return None
+            program.friction *= min(0.99, max(0.9, allowed / verdict.required_friction))
+            program.solve()
+            verdict = yield jaw_path(self.scene, program.x, program.unknowns)
+        return None
 
 
 def plan_fem_gradient(
@@ -339,54 +335,40 @@ def plan_fem_gradient(
 ) -> Plan:
     """Search places on the coarse mesh, improve the path at the best one on the one asked for, certify.
 
-    What `eased` finds on the coarse mesh is the start, and a candidate beside. Raises NoPlan.
+    What `eased` finds on the coarse mesh is the start, and a contestant beside. Raises NoPlan.
     """
     start = time.perf_counter()
     searched = eased.search(scene, on_update)
-    held = min(searched.holds, key=lambda c: (c.max_strain, c.index), default=None)
-    begin = (held or searched.tried[0]).grasp
-    length, width = scene.tissue.length, scene.jaws.width
-    low, high = -length + width / 2, -(0.5 + SLIVER) * width * (1 + 1e-6)
-    places = sorted({float(np.clip(begin.x + part * length, low, high)) for part in ASIDE})
-    with ThreadPoolExecutor(max_workers=workers or cores()) as pool:
-        try:
-            programs = list(pool.map(partial(_searched, scene, begin.compression), places))
-        except BaseException:
-            pool.shutdown(wait=True, cancel_futures=True)
-            raise
+    held = searched.best_first[:1]
+    begin = held[0] if held else searched.tried[0].grasp
+    low, high = jaw_range(scene.tissue.length, scene.jaws.width)
+    aside = (begin.x + part * scene.tissue.length for part in ASIDE)
+    places = sorted({float(np.clip(x, low, high)) for x in aside})
+    workers = cores() if workers is None else workers
+    stop = Stop()
+    programs = side_by_side(partial(_searched, scene, begin.compression, stop), places, workers, stop)
     solved = sorted(
         (p for p in programs if p is not None),
         key=lambda p: (p.standing(p.responses).violation > HOLDS, p.max_strain, p.x),
     )[:POLISHED]
     found = time.perf_counter()
-    begun = {jaw_path(scene, p.x, p.unknowns): p.unknowns for p in solved}
-
-    def trial(scene: Scene, grasp: Grasp, path: JawPath, resolution: str) -> Trial:
-        unknowns = begun.get((grasp, path))
-        if unknowns is None:
-            return Trial(scene, grasp, path, resolution)
-        return Polished(scene, grasp.x, unknowns, resolution)
-
-    proposals = [*begun, *([(begin, eased.eased(scene, begin))] if held else [])]
-    try:
-        told = eased.after(searched.tried, on_update)
-        plan = generate_and_test(scene, proposals, KIND, resolution, workers, told, trial=trial)
-    except NoPlan as none:
-        raise NoPlan([*searched.tried, *none.candidates]) from None
+    contestants: list[Contestant] = [Polished(scene, p.x, p.unknowns, resolution) for p in solved]
+    contestants += [Contestant(grasp, eased.eased(scene, grasp)) for grasp in held]
+    plan = race(scene, contestants, KIND, resolution, workers, on_update, tried=searched.tried)
     timings = {**plan.timings, "search": found - start, "total": time.perf_counter() - start}
-    return replace(plan, candidates=(*searched.tried, *plan.candidates), timings=timings)
+    return replace(plan, timings=timings)
 
 
-def _searched(scene: Scene, compression: float, x: float) -> Program | None:
-    """The program solved on the coarse mesh at x, m, begun with an eased path; None where that diverges."""
+def _searched(scene: Scene, compression: float, on_increment: Callable[[], None], x: float) -> Program | None:
+    """The program solved on the coarse mesh at x, m, begun with an eased path; None where that fails."""
     line, height = scene.line_of_sight, scene.tissue.height
     turn = float(paths.arc_turn(1 / paths.goal_radius(line.camera, line.target), -x, height))
     unknowns = np.empty(11)
     unknowns[TURN], unknowns[PART], unknowns[GRIP] = turn, eased.TURN, compression / height
     unknowns[STRETCH] = eased.STRETCH * np.array([1, 2, 3]) / 3
     try:
-        program = Program(scene, x, unknowns, SEARCHED_ON)
+        program = Program(scene, x, unknowns, SEARCHED_ON, on_increment)
         program.solve()
-    except (Diverged, MeshError):
+    except (Diverged, MeshError, TooCostly):
         return None
     return program

@@ -1,6 +1,6 @@
 """The flap's section as a mesh: how fine, where the jaws sit, which outlines it follows."""
 
-from retract_env.mesh.jaws import SLIVER, patch_ends
+from retract_env.mesh.jaws import SLIVER, jaw_range, patch_ends
 from retract_env.mesh.resolutions import RESOLUTIONS, Resolution
 from retract_env.mesh.section import SectionMesh, quadratic_shares, section_mesh
 
@@ -9,6 +9,7 @@ __all__ = [
     "SLIVER",
     "Resolution",
     "SectionMesh",
+    "jaw_range",
     "patch_ends",
     "quadratic_shares",
     "section_mesh",

@@ -6,7 +6,17 @@ from retract_env.scene import Scene
 
 SLIVER = 0.05
 """A patch that ends nearer than this, over its width, to an end of the flap reaches up to it: no sliver is
-left."""
+left. At the fixed end it would be held twice, so jaws keep that far off."""
+
+
+def jaw_range(length: float, width: float) -> tuple[float, float]:
+    """Least and greatest x, m, of a grasp whose jaws stand on the flap with their whole width.
+
+    length: m, of the flap; width: m, of the jaws. `patch_ends` accepts both ends. Where no such place is left
+    both are the greatest.
+    """
+    nearest = -(0.5 + SLIVER) * width
+    return min(-length + width / 2, nearest), nearest
 
 
 def patch_ends(scene: Scene, jaw_x: float) -> tuple[float, float]:
@@ -15,10 +25,10 @@ def patch_ends(scene: Scene, jaw_x: float) -> tuple[float, float]:
     Raises ValueError where the patch does not keep off the fixed end.
     """
     length, width = scene.tissue.length, scene.jaws.width
-    low, high = jaw_x - width / 2, jaw_x + width / 2
-    if not (jaw_x >= -length * (1 + 1e-9) and high <= -SLIVER * width):
-        least = -(0.5 + SLIVER) * width
+    nearest = jaw_range(length, width)[1]
+    if not -length * (1 + 1e-9) <= jaw_x <= nearest:
         raise ValueError(
-            f"grasp.x = {jaw_x:g} m, allowed [{-length:g}, {least:g}] m for jaws {width:g} m wide"
+            f"grasp.x = {jaw_x:g} m, allowed [{-length:g}, {nearest:g}] m for jaws {width:g} m wide"
         )
+    low, high = jaw_x - width / 2, jaw_x + width / 2
     return (-length if low < -length + SLIVER * width else low), high

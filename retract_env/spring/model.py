@@ -25,7 +25,7 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from retract_env.grasp import Grasp
-from retract_env.mesh import SLIVER
+from retract_env.mesh import jaw_range
 from retract_env.spring.stiffness import Stiffness
 
 Array = NDArray[np.float64]
@@ -106,8 +106,7 @@ class SpringModel(Stiffness):
             raise ValueError(f"jaw_width = {jaw_width:g} m, allowed (0, {self.length:g}) m")
         if samples < 1:
             raise ValueError(f"samples = {samples}, allowed 1 or more")
-        # a patch that touched the fixed end would be held twice
-        low, high = -self.length + jaw_width / 2, -(0.5 + SLIVER) * jaw_width
+        low, high = jaw_range(self.length, jaw_width)
         basins = self.basins()
         if len(basins) == 1 and basins[0].width == self.length:
             places = np.unique(np.clip(-self.length * np.arange(1, samples + 1) / samples, low, high))

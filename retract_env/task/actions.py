@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from retract_env.grasp import Grasp
-from retract_env.mesh import SLIVER
+from retract_env.mesh import jaw_range
 from retract_env.scene import Scene
 from retract_env.task.config import TaskConfig
 
@@ -39,8 +39,8 @@ def checked(action: ArrayLike) -> Array:
 def grasp_range(scene: Scene, config: TaskConfig = DEFAULT) -> tuple[Array, Array]:
     """Least and greatest (x, compression), (2,) m each, of a grasp whose jaws fit on the flap."""
     tissue, width = scene.tissue, scene.jaws.width
-    # a hair inside what `mesh.patch_ends` accepts, for rounding
-    nearest = -(0.5 + SLIVER) * width * (1 + 1e-6)
+    # a hair inside, because an action is a rounded number
+    nearest = jaw_range(tissue.length, width)[1] * (1 + 1e-6)
     low, high = (share * tissue.height for share in config.compression)
     return np.array([-tissue.length, low]), np.array([nearest, high])
 

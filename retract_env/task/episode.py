@@ -113,10 +113,8 @@ class Episode:
 
 
 def spring_grasps(scene: Scene) -> list[Grasp]:
-    """Stable grasps whose jaws fit on the flap, best first."""
-    low, high = actions.grasp_range(scene)
-    grasps = SpringModel(scene.tissue).stable_grasps(scene.limits.strain, scene.jaws.width)
-    return [g for g in grasps if low[0] <= g.x <= high[0]]
+    """The spring model's stable grasps, best first; the planners' too."""
+    return SpringModel(scene.tissue).stable_grasps(scene.limits.strain, scene.jaws.width)
 
 
 def _sound(state: TissueState) -> TissueState:

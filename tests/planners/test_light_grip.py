@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import cache
 
 import pytest
 
 from planners import plan
-from planners.base import Plan
+from planners.base import NoPlan, Plan, Verdict
 from planners.certify import certify
-from planners.light_grip import MARGIN, MOST_TRIALS, TOLERANCE, LightGrip, Outcome, least_compression
+from planners.light_grip import MARGIN, MOST_TRIALS, TOLERANCE, LightGrip, least_compression
 from planners.paths import PATHS, circular, ctc
 from planners.proposals import along
-from planners.search import generate_and_test
+from planners.search import generate_and_test, race
 from retract_env.grasp import Grasp, JawPath
 from retract_env.scene import Scene
 from tests.planners.retractions import MOTIONS, a_grasp, a_scene, poses
@@ -35,61 +36,85 @@ class Law:
         self.scale, self.power, self.torn, self.why = scale, power, torn, why
         self.asked: list[float] = []
 
-    def __call__(self, delta: float) -> Outcome:
+    def __call__(self, delta: float) -> Verdict:
         self.asked.append(delta)
         friction = (self.scale / delta) ** self.power
-        if delta > self.torn:
-            return Outcome(friction / 2, self.why)  # it broke before the friction was at its height
-        return Outcome(friction, "ok")
+        if delta > self.torn:  # it broke before the friction was at its height
+            return Verdict(self.why, required_friction=friction / 2)
+        return Verdict("ok", required_friction=friction)
+
+
+def searched(attempt: Callable[[float], Verdict], start: float, most: float = 4e-3) -> tuple[float, str]:
+    """What the search comes to where `attempt` says what becomes of a compression."""
+    search = least_compression(start, most, ALLOWED)
+    delta = next(search)
+    while True:
+        try:
+            delta = search.send(attempt(delta))
+        except StopIteration as end:
+            found: tuple[float, str] = end.value
+            return found
 
 
 @pytest.mark.parametrize("power", [0.6, 1.0, 1.4, 2.5])
 @pytest.mark.parametrize("scale", [0.1e-3, 0.3e-3, 0.9e-3])
 def test_the_search_ends_just_below_what_is_allowed(scale: float, power: float) -> None:
     law = Law(scale, power)
-    delta, reason = least_compression(law, 1.1e-3, 4e-3, ALLOWED)
+    delta, reason = searched(law, 1.1e-3)
     assert reason == "ok"
     assert law.asked[-1] == delta
     assert len(law.asked) <= MOST_TRIALS
-    assert ALLOWED * (1 - TOLERANCE) <= law(delta).friction <= ALLOWED
+    assert ALLOWED * (1 - TOLERANCE) <= law(delta).required_friction <= ALLOWED
 
 
 def test_what_has_the_friction_at_once_is_tried_once() -> None:
     law = Law(ALLOWED * 1.0e-3 * (1 - TOLERANCE / 2), 1.0)
-    assert least_compression(law, 1.0e-3, 4e-3, ALLOWED) == (1.0e-3, "ok")
+    assert searched(law, 1.0e-3) == (1.0e-3, "ok")
     assert len(law.asked) == 1
 
 
 @pytest.mark.parametrize("why", ["strain", "diverged"])
 def test_where_every_grip_that_holds_breaks_another_limit_it_says_which(why: str) -> None:
     law = Law(0.6e-3, 1.0, torn=1.0e-3, why=why)  # holds from 1.26 mm on
-    assert least_compression(law, 1.1e-3, 4e-3, ALLOWED)[1] == why
+    assert searched(law, 1.1e-3)[1] == why
 
 
 def test_a_grip_that_slips_and_tears_ends_the_search() -> None:
     """A lighter one slips more, a firmer one tears sooner."""
     calls = []
 
-    def attempt(delta: float) -> Outcome:
+    def attempt(delta: float) -> Verdict:
         calls.append(delta)
-        return Outcome(0.9, "strain")
+        return Verdict("strain", required_friction=0.9)
 
-    assert least_compression(attempt, 1.1e-3, 4e-3, ALLOWED) == (1.1e-3, "strain")
+    assert searched(attempt, 1.1e-3) == (1.1e-3, "strain")
     assert len(calls) == 1
 
 
-@pytest.mark.parametrize("reason", ["not_visible", "pruned"])
+@pytest.mark.parametrize("reason", ["not_visible", "pruned", "unmeshable", "too costly"])
 def test_what_does_not_depend_on_the_grip_ends_the_search(reason: str) -> None:
-    assert least_compression(lambda _: Outcome(0.2, reason), 1e-3, 4e-3, ALLOWED) == (1e-3, reason)
+    assert searched(lambda _: Verdict(reason, required_friction=0.2), 1e-3) == (1e-3, reason)
+
+
+def test_a_flap_that_finds_no_rest_is_tried_once() -> None:
+    """However far the jaws would have closed."""
+    law = Law(0.3e-3, 1.0)
+
+    def attempt(delta: float) -> Verdict:
+        law(delta)
+        return Verdict("diverged", required_friction=0.0, progress=0.0)
+
+    assert searched(attempt, 1.1e-3) == (1.1e-3, "diverged")
+    assert len(law.asked) == 1
 
 
 def test_jaws_that_pull_are_closed_further() -> None:
     law = Law(0.3e-3, 1.0)
 
-    def attempt(delta: float) -> Outcome:
-        return Outcome(math.inf, "release") if delta < 0.5e-3 else law(delta)
+    def attempt(delta: float) -> Verdict:
+        return Verdict("release", required_friction=math.inf) if delta < 0.5e-3 else law(delta)
 
-    delta, reason = least_compression(attempt, 0.2e-3, 4e-3, ALLOWED)
+    delta, reason = searched(attempt, 0.2e-3)
     assert reason == "ok"
     assert delta == pytest.approx(0.3e-3 / ALLOWED, rel=TOLERANCE)
 
@@ -102,12 +127,10 @@ def scene(friction: float = FRICTION) -> Scene:
 
 
 @cache
-def lightest(kind: str, x: float = -0.03) -> LightGrip:
-    grasp = a_grasp(x)
-    trial = LightGrip(scene(), grasp, PATHS[kind](scene(), grasp), "coarse")
-    trial.squeeze()
-    trial.move()
-    return trial
+def lightest(kind: str, x: float = -0.03, part: float = 0.25) -> Plan:
+    grasp = a_grasp(x, part)
+    contestant = LightGrip(scene(), grasp, PATHS[kind](scene(), grasp))
+    return race(scene(), [contestant], "light_grip", "coarse", 1)
 
 
 every_path = pytest.mark.parametrize("kind", ["ctc", "circular"])
@@ -115,13 +138,13 @@ every_path = pytest.mark.parametrize("kind", ["ctc", "circular"])
 
 @every_path
 def test_it_is_certified_with_its_margin(kind: str) -> None:
-    trial = lightest(kind)
-    certificate = trial.certificate()
+    found = lightest(kind)
+    certificate = found.certificate
     assert certificate.certified
     assert ALLOWED * (1 - TOLERANCE) <= certificate.required_friction <= ALLOWED
     assert certificate.friction_limit == FRICTION
     assert certificate.scene_hash == scene().hash
-    assert certify(scene(), trial.grasp, trial.path, "coarse").to_json() == certificate.to_json()
+    assert certify(scene(), found.grasp, found.path, "coarse").to_json() == certificate.to_json()
 
 
 @every_path
@@ -136,32 +159,28 @@ def test_a_firmer_grip_strains_more(kind: str) -> None:
     grasp = a_grasp(lightest(kind).grasp.x)
     paper = certify(scene(), grasp, PATHS[kind](scene(), grasp), "coarse")
     assert paper.certified
-    assert paper.required_friction < lightest(kind).required_friction
-    assert paper.max_strain > lightest(kind).max_strain
+    assert paper.required_friction < lightest(kind).certificate.required_friction
+    assert paper.max_strain > lightest(kind).certificate.max_strain
 
 
 def test_a_grasp_that_slips_by_eq_5_is_gripped_more_firmly() -> None:
     grasp = a_grasp(-0.015)
     assert certify(scene(), grasp, ctc(scene(), grasp), "coarse").reason == "slip"
-    trial = lightest("ctc", -0.015)
-    assert trial.certificate().certified
-    assert trial.grasp.compression > grasp.compression
+    found = lightest("ctc", -0.015)
+    assert found.certificate.certified
+    assert found.grasp.compression > grasp.compression
 
 
 def test_a_grasp_without_a_grip_says_why() -> None:
     """So near to the fixed end the flap is bent so sharply that what holds it tears it."""
-    trial = lightest("ctc", -0.008)
-    assert trial.reason == "strain"
+    with pytest.raises(NoPlan, match="1 candidates: 1 strain") as none:
+        lightest("ctc", -0.008)
+    (candidate,) = none.value.candidates
+    assert candidate.max_strain > 0 and candidate.required_friction > 0
 
 
 def test_where_it_is_searched_from_does_not_matter() -> None:
-    found = []
-    for part in (0.05, 0.4):
-        grasp = a_grasp(-0.03, part)
-        trial = LightGrip(scene(), grasp, ctc(scene(), grasp), "coarse")
-        trial.squeeze()
-        trial.move()
-        found.append(trial.grasp.compression / HEIGHT)
+    found = [lightest("ctc", -0.03, part).grasp.compression / HEIGHT for part in (0.05, 0.4)]
     assert found[0] == pytest.approx(found[1], rel=2 * TOLERANCE)
 
 
@@ -188,9 +207,8 @@ def proposals() -> list[tuple[Grasp, JawPath]]:
 
 @cache
 def planned(pruning: str, workers: int) -> Plan:
-    return generate_and_test(
-        scene(), proposals(), "light_grip", "coarse", workers, pruning=pruning, trial=LightGrip
-    )
+    contestants = [LightGrip(scene(), *proposal) for proposal in proposals()]
+    return race(scene(), contestants, "light_grip", "coarse", workers, pruning=pruning)
 
 
 @pytest.mark.parametrize(("pruning", "workers"), [("bound", 1), ("squeeze", 1), ("squeeze", 2)])

@@ -12,7 +12,7 @@ from matplotlib.colors import Normalize
 from numpy.typing import NDArray
 
 from baselines.jobs.journal import Row
-from baselines.paper.experiments import Experiment, retraction, tried
+from baselines.paper.experiments import Experiment, retraction
 from baselines.paper.maps import draw_map
 from baselines.paper.study import Claim, Report, Study, new_figure, paper_scene, percent, with_line
 from baselines.pictures.drawing import MM, strain_map
@@ -61,7 +61,13 @@ def light_grip(scene: Mapping[str, Any], x: float, compression: float, path: str
 
 def lightly_gripped(resolution: str, scene: Any, x: float, compression: float, path: str) -> Row:
     """What becomes of a grasp, m, with a path in PATHS, closed as lightly as holds."""
-    return tried(LightGrip, Scene.from_data(scene), Grasp(x, compression), path, resolution)
+    flap, grasp = Scene.from_data(scene), Grasp(x, compression)
+    contestant = LightGrip(flap, grasp, PATHS[path](flap, grasp))
+    try:
+        (best,) = race(flap, [contestant], "light_grip", resolution, 1).candidates
+    except NoPlan as none:
+        (best,) = none.candidates
+    return {"compression": best.grasp.compression, **measured(best)}
 
 
 def strain_table(rows: Sequence[Row], scene: str, path: str, grip: str) -> Array:

@@ -25,7 +25,7 @@ Ints = NDArray[np.int32]
 MOST_COPIES = 99
 """Stiffest vein, over the tissue's modulus: its tetrahedra are listed so often, and each copy costs as much
 as another tetrahedron."""
-SLIVER = 0.5
+LEAST_OVERHANG = 0.5
 """A patch that ends nearer than this, over its width, to the free end reaches up to it."""
 
 # Corners of the five tetrahedra in the unit cube.
@@ -99,7 +99,7 @@ def tet_mesh(scene: Scene, jaw_x: float, along: float, across: int, deep: int) -
     """
     tissue = scene.tissue
     low, high = patch_ends(scene, jaw_x)
-    if low < -tissue.length + SLIVER * scene.jaws.width:
+    if low < -tissue.length + LEAST_OVERHANG * scene.jaws.width:
         low = -tissue.length
     xs = _lines([-tissue.length, low, high, 0.0], along * tissue.height)
     ys = np.linspace(0.0, tissue.height, across + 1)

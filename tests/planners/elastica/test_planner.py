@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from planners.base import NoPlan
-from planners.certify import Trial
+from planners.base import NoPlan, Plan
+from planners.certify import certify
 from planners.paths import ctc
-from planners.search import generate_and_test
+from planners.search import race
 from retract_env.grasp import Grasp, JawPath
 from retract_env.scene import Scene
 from tests.planners.retractions import a_grasp, a_scene, retraction
@@ -23,29 +23,29 @@ adaptation = pytest.importorskip("planners.elastica.planner")
 ROOT = Path(__file__).resolve().parents[3]
 
 
-def optimum(scene: Scene, grasp: Grasp) -> Trial:
-    trial: Trial = adaptation.Elastica(scene, grasp, ctc(scene, grasp), "coarse")
-    trial.squeeze()
-    trial.move()
-    return trial
+def optimum(scene: Scene, grasp: Grasp) -> Plan:
+    contestant = adaptation.Elastica(scene, grasp, ctc(scene, grasp))
+    return race(scene, [contestant], "elastica", "coarse", 1)
 
 
 def test_it_strains_a_middling_grasp_less_than_half_as_much_as_the_paper() -> None:
     scene, grasp = a_scene(friction=0.5), a_grasp(-0.7 * LENGTH)
-    trial = optimum(scene, grasp)
-    assert trial.certificate().certified
+    found = optimum(scene, grasp)
+    assert found.certificate.certified
     # the paper's compression alone, a quarter of the height, strains more than that
-    assert trial.max_strain < 0.5 * retraction(scene, grasp).max_strain
-    assert trial.required_friction <= 0.5
-    assert trial.path.kind == "elastica" and trial.path != ctc(scene, grasp)
+    assert found.certificate.max_strain < 0.5 * retraction(scene, grasp).max_strain
+    assert found.certificate.required_friction <= 0.5
+    assert found.path.kind == "elastica" and found.path != ctc(scene, grasp)
+    judged = certify(scene, found.grasp, found.path, "coarse")
+    assert judged.to_json() == found.certificate.to_json()
 
 
 def test_it_holds_a_grasp_at_the_free_end_that_slips_on_the_paper_s_path() -> None:
     scene = a_scene(friction=0.5, target=0.15)
     grasp = a_grasp(-LENGTH + 5e-4)
     assert retraction(scene, grasp).reason == "slip"
-    trial = optimum(scene, grasp)
-    assert trial.reason == "ok" and trial.max_strain < 0.5 * retraction(scene, grasp).max_strain
+    found = optimum(scene, grasp)
+    assert found.certificate.max_strain < 0.5 * retraction(scene, grasp).max_strain
 
 
 def test_jaws_that_slip_close_further(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -56,10 +56,10 @@ def test_jaws_that_slip_close_further(monkeypatch: pytest.MonkeyPatch) -> None:
     poses[1:, 3] = HEIGHT - light
     loose = Grasp(held.x, light), JawPath.from_poses(poses, "elastica")
     monkeypatch.setattr(adaptation, "optimise", lambda *_: loose)
-    trial = optimum(scene, grasp)
-    assert trial.reason == "ok"
-    assert light < trial.grasp.compression <= light * adaptation.FIRMER**adaptation.MOST_FIRMER * (1 + 1e-9)
-    assert trial.path.poses[1:, 3] == pytest.approx(HEIGHT - trial.grasp.compression)
+    held = optimum(scene, grasp).grasp
+    path = optimum(scene, grasp).path
+    assert light < held.compression <= light * adaptation.FIRMER**adaptation.MOST_FIRMER * (1 + 1e-9)
+    assert path.poses[1:, 3] == pytest.approx(HEIGHT - held.compression)
 
 
 def test_the_solver_s_failure_is_the_candidate_s_reason(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -69,9 +69,7 @@ def test_the_solver_s_failure_is_the_candidate_s_reason(monkeypatch: pytest.Monk
     monkeypatch.setattr(adaptation, "solve", fails)
     scene, grasp = a_scene(), a_grasp()
     with pytest.raises(NoPlan, match=r"1 unsolved \(infeasible problem detected\)") as none:
-        generate_and_test(
-            scene, [(grasp, ctc(scene, grasp))], "elastica", "coarse", 1, trial=adaptation.Elastica
-        )
+        optimum(scene, grasp)
     assert none.value.candidates[0].reason == "unsolved (infeasible problem detected)"
 
 

@@ -34,6 +34,7 @@ from planners.fem_gradient.planner import (
 from planners.fem_gradient.sensitivity import Response, Sensitivity
 from planners.light_grip import LightGrip
 from planners.paths import arc_turn, ctc, goal_radius
+from planners.search import race
 from retract_env.mesh import Resolution
 from retract_env.objectives import clearance, required_friction, worst_mean
 from retract_env.physics.fem import FemPhysics
@@ -211,10 +212,10 @@ def test_it_spares_the_tissue_more_than_light_grip_and_eased_do() -> None:
     certificate = found.certificate
     assert certificate.certified and found.path.kind == KIND
     assert certificate.required_friction <= ENOUGH * HOMOGENEOUS.limits.friction
-    light = LightGrip(HOMOGENEOUS, LIGHT, ctc(HOMOGENEOUS, LIGHT), "coarse")
-    light.squeeze()
-    light.move()
-    assert light.reason == "ok" and certificate.max_strain < 0.9 * light.max_strain
+    light = race(
+        HOMOGENEOUS, [LightGrip(HOMOGENEOUS, LIGHT, ctc(HOMOGENEOUS, LIGHT))], "light_grip", "coarse", 1
+    )
+    assert certificate.max_strain < 0.9 * light.certificate.max_strain
     assert certificate.max_strain <= planners.plan(HOMOGENEOUS, "eased", "coarse", 1).certificate.max_strain
 
 
