@@ -10,6 +10,8 @@ from typing import Any
 
 from baselines.jobs.journal import Row
 from baselines.jobs.version import code_version
+from planners.base import Candidate
+from planners.certify import Certificate, certify
 from planners.paths import PATHS
 from retract_env.errors import ConfigError
 from retract_env.grasp import Grasp

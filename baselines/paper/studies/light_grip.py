@@ -12,12 +12,15 @@ from matplotlib.colors import Normalize
 from numpy.typing import NDArray
 
 from baselines.jobs.journal import Row
-from baselines.paper.experiments import Experiment, retraction
+from baselines.paper.experiments import Experiment, measured, retraction
 from baselines.paper.maps import draw_map
 from baselines.paper.study import Claim, Report, Study, new_figure, paper_scene, percent, with_line
 from baselines.pictures.drawing import MM, strain_map
+from planners.base import NoPlan
 from planners.light_grip import MARGIN, LightGrip
+from planners.paths import PATHS
 from planners.proposals import stable_grasps
+from planners.search import race
 from retract_env.grasp import Grasp
 from retract_env.scene import Scene
 
