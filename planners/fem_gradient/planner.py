@@ -28,7 +28,7 @@ from scipy.optimize import linprog
 
 from planners import eased, paths
 from planners.base import Contestant, Plan, Proposals
-from planners.effort import TooCostly
+from planners.effort import TooCostly, check
 from planners.fem_gradient.sensitivity import LinearStrain, Response, Sensitivity
 from planners.search import OnUpdate, Stop, cores, race, side_by_side
 from retract_env.errors import Diverged, MeshError
@@ -163,18 +163,23 @@ class Program:
         """unknowns: (11,) to begin with, whose path is followed once; on_increment: called before each pose
         that is solved, here and later; what it raises ends the work. Raises Diverged, MeshError, TooCostly.
         """
-        self._on_increment = on_increment
         self.scene, self.x, self.unknowns = scene, x, np.clip(unknowns, LOW, HIGH)
         self.friction = RESERVE * scene.limits.friction
         physics = FemPhysics(scene, x, resolution)
         self.sensitivity = Sensitivity(physics)
+
+        def before_pose() -> None:
+            on_increment()
+            check(physics.equilibrium.counts["iterations"] + self.sensitivity.iterations)
+
+        self._before_pose = before_pose
         poses = motion(scene, x, self.unknowns, TIMES)
         open_jaws = np.array([x, scene.tissue.height / 2, 0.0, scene.tissue.height])
         physics.reset()
         physics.move_to((open_jaws + poses[0]) / 2)
         self.responses: list[Response] = []
         for pose, at in zip(poses, TIMES.tolist(), strict=True):
-            on_increment()
+            before_pose()
             physics.move_to(pose, 1.0 + at)
             self.responses.append(self.sensitivity.settled(pose, physics.displacements))
             if at == 0.0:
@@ -202,7 +207,8 @@ class Program:
         return (clearances / self.scene.tissue.length - CLEAR) / CLEARANCE
 
     def solve(self) -> None:
-        """Improve the unknowns, step by step, until no step promises to gain more."""
+        """Improve the unknowns, step by step, until no step promises to gain more. Raises Diverged, where no
+        step can be computed, and TooCostly."""
         radius = RADIUS
         for _ in range(STEPS):
             step, promised = self._step(radius)
@@ -215,7 +221,7 @@ class Program:
             responses = []
             try:
                 for pose, response in zip(poses, self.responses, strict=True):
-                    self._on_increment()
+                    self._before_pose()
                     responses.append(self.sensitivity.at(pose, response))
             except Diverged:
                 radius /= 4
@@ -271,7 +277,7 @@ class Program:
                 method="highs",
             )
             if result.x is None:
-                raise RuntimeError(f"HiGHS on a linear program that has a solution: {result.message}")
+                raise Diverged(f"HiGHS on a linear program that has a solution: {result.message}")
             at = result.x
         return best_step, best
 

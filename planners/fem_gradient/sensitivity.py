@@ -88,6 +88,11 @@ class Sensitivity:
         self.volumes = np.concatenate([b.measured.ravel() for b in blocks])
         """(m,) m^3, of half the depth"""
 
+    @property
+    def iterations(self) -> int:
+        """Newton iterations so far."""
+        return self._equilibrium.counts["iterations"]
+
     def at(self, pose: Array, near: Response) -> Response:
         """The response at a pose (4,), from one nearby. Raises Diverged."""
         done, part = 0.0, 1.0

@@ -12,8 +12,8 @@ from retract_env.scene import Jaws
 from tests.planners.retractions import a_scene, box
 
 UNMESHABLE_WHERE_EASED_BEGINS = [
-    box(-0.0350, -0.0348, 0.0, 0.0010),
-    box(-0.0346, -0.0341, 0.0034, 0.0044),
+    box(-0.03477, -0.03457, 0.0, 0.0010),
+    box(-0.03480, -0.03460, 0.0034, 0.0044),
 ]
 """Two veins that meet the lower and the upper surface between the jaws."""
 

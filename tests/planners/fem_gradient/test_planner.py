@@ -12,9 +12,10 @@ import pytest
 from numpy.typing import NDArray
 
 import planners
-from planners import eased
+from planners import eased, effort
 from planners.base import Candidate, NoPlan, Plan
 from planners.certify import certify
+from planners.effort import TooCostly
 from planners.fem_gradient import planner as fem_gradient
 from planners.fem_gradient.planner import (
     ENOUGH,
@@ -222,6 +223,13 @@ def test_it_spares_the_tissue_more_than_light_grip_and_eased_do() -> None:
 def test_its_certificate_is_the_certifiers() -> None:
     found = planned()
     assert found.certificate.to_json() == certify(HOMOGENEOUS, found.grasp, found.path, "coarse").to_json()
+
+
+def test_an_optimisation_that_takes_too_much_work_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    begun = program()
+    monkeypatch.setattr(effort, "MOST_ITERATIONS", begun.sensitivity.iterations // 2)
+    with pytest.raises(TooCostly, match="iterations, allowed"):
+        Program(HOMOGENEOUS, GRASP.x, begun.unknowns, "coarse")
 
 
 def test_workers_make_no_difference() -> None:
