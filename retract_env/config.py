@@ -286,6 +286,8 @@ CONFIGS = next(
     (folder for folder in (_HERE / "configs", _HERE.parent / "configs") if folder.is_dir()), _HERE / "configs"
 )
 """What is shipped: beside the sources in a checkout, within the package where it is installed."""
+BULLET = "make bullet" if CONFIGS.parent != _HERE else 'pip install "retract[bullet]"'
+"""The command that installs PyBullet, in a checkout or elsewhere; without wheels it compiles for minutes."""
 
 
 def config_file(name: str | PathLike[str], folder: str) -> Path:

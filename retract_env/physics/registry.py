@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 from collections import OrderedDict
 
+from retract_env.config import BULLET
 from retract_env.objectives import verdict
 from retract_env.physics.base import Physics, TissueState
 from retract_env.scene import Scene
@@ -20,7 +21,7 @@ def check_physics(name: str, resolution: str) -> None:
     if name == "bullet":
         if importlib.util.find_spec("pybullet") is None:
             raise ImportError(
-                'physics = "bullet" needs pybullet: pip install "retract[bullet]"; '
+                f'physics = "bullet" needs pybullet: {BULLET}; '
                 "TissueRetractFEM-v0, on the finite elements, needs nothing more"
             )
         from retract_env.physics.bullet.flap import BULLET_RESOLUTIONS

@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from retract_env.config import BULLET
 from retract_env.errors import Diverged
 from retract_env.grasp import to_jaws, to_pose
 from retract_env.physics.base import TissueState
@@ -289,6 +290,6 @@ def _pybullet() -> Any:
         with silence():
             import pybullet
     except ImportError:
-        hint = 'pip install "retract[bullet]"; TissueRetractFEM-v0 needs none'
+        hint = f"{BULLET}; TissueRetractFEM-v0 needs none"
         raise ImportError(f"pybullet is not installed: {hint}") from None
     return pybullet
