@@ -7,10 +7,11 @@ PYTEST_ARGS ?= -n auto --maxprocesses 8
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 
-.PHONY: help demo test test-slow lint format typecheck bench clean
+.PHONY: help demo bullet test test-slow lint format typecheck bench clean
 
 help:
 	@echo "make demo       plan and certify a retraction of configs/scenes/ten_veins.yaml into $(OUT)"
+	@echo "make bullet     install PyBullet where there is no wheel of it, compiling for ten minutes"
 	@echo "make test       run the tests;  make test-slow: the slow ones too"
 	@echo "make lint       ruff;  make format: ruff, rewriting;  make typecheck: mypy"
 	@echo "make bench      measure speed and accuracy"
@@ -18,7 +19,19 @@ help:
 	@echo "PYTHON=/path/to/python3 chooses the interpreter"
 
 demo: $(VENV)/.installed
-	$(BIN)/retract plan configs/scenes/ten_veins.yaml --out $(OUT)
+	$(BIN)/retract plan ten_veins --out $(OUT)
+
+# CPython 3.12 and newer, and most machines that are not Linux on x86-64, have no wheel of PyBullet. NumPy is
+# there before it is built, and it is not built in isolation: else it is built without NumPy.
+bullet: $(VENV)/.installed
+	@$(BIN)/python -c 'import pybullet' 2> /dev/null || { \
+	  $(PIP) install --quiet --only-binary :all: --constraint constraints.txt pybullet 2> /dev/null || { \
+	    command -v $(firstword $(CXX)) > /dev/null || \
+	      { echo "error: PyBullet has to be compiled here, which needs a C++ compiler; on Debian: apt install g++ python3-dev" >&2; exit 1; }; \
+	    echo "compiling PyBullet, some 11 minutes on two cores"; \
+	    $(PIP) install --quiet --constraint constraints.txt setuptools wheel && \
+	    $(PIP) install --quiet --no-build-isolation --no-binary pybullet --constraint constraints.txt pybullet; }; }
+	@$(BIN)/python -c 'import gymnasium as gym, pybullet, retract_env; assert pybullet.isNumpyEnabled(), "PyBullet was built without NumPy"; env = gym.make("TissueRetract-v0", resolution="coarse", grasp="spring"); env.reset(seed=0); env.step(env.action_space.sample()); print("PyBullet works: TissueRetract-v0 has made a step")'
 
 test: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest $(PYTEST_ARGS)

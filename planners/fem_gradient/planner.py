@@ -24,7 +24,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linprog
 
 from planners import eased, paths
 from planners.base import Contestant, Plan, Proposals
@@ -257,6 +256,8 @@ class Program:
         cost = np.array([*[0.0] * 11, 1.0, PENALTY, *[SMOOTH] * lines])
         low, high = np.zeros(len(cost)), np.full(len(cost), np.inf)
         low[:11] = np.maximum(-radius, (LOW - self.unknowns) / UNITS)
+        from scipy.optimize import linprog  # takes as long to import as all of this package
+
         high[:11] = np.minimum(radius, (HIGH - self.unknowns) / UNITS)
         best, best_step, at = math.inf, np.zeros(11), np.zeros(len(cost))
         for _ in range(CUTS):

@@ -10,11 +10,17 @@ import importlib
 import importlib.util
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from retract_env.physics.base import Physics, TissueState
     from retract_env.scene import Scene
+
+
+_IN_A_CHECKOUT = not (Path(__file__).parents[1] / "configs").is_dir()
+BULLET = "make bullet" if _IN_A_CHECKOUT else 'pip install "retract[bullet]"'
+"""The command that installs PyBullet, in a checkout or elsewhere; without wheels it compiles for minutes."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +98,7 @@ PHYSICS = {
             about="a soft body of PyBullet",
             pictures=True,
             needs="pybullet",
-            install='pip install "retract[bullet]"',
+            install=BULLET,
         ),
         PhysicsKind(
             "fem",

@@ -225,7 +225,7 @@ def test_a_scene_that_cannot_be_used_is_a_scene_error() -> None:
 
 def test_without_pybullet_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pybullet", None)
-    with pytest.raises(ImportError, match=r"pip install \"retract\[bullet\]\".*TissueRetractFEM-v0"):
+    with pytest.raises(ImportError, match=r"make bullet; TissueRetractFEM-v0"):
         gym.make(BULLET)
 
 
