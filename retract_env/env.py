@@ -117,7 +117,8 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
 
     A step's reward, and that of a whole episode, lies in `task_config.reward_range`, which is [-4.5, 4].
 
-    `info` also holds `is_success`; `failure` ("", "strain", "slip", "release" or "diverged"); for safe
+    `info` also holds `is_success`; `failure` ("", "strain", "slip", "release", "contact" or
+    "diverged"); for safe
     reinforcement learning `cost`, how many limits are broken now, and `cost_terms`, by how much of itself
     each of them, of `strain` and of `friction`, is exceeded now: 0 where it holds, at most the cap less 1,
     also where a jaw would have to pull; `max_strain` and `required_friction`, the greatest so far;
@@ -135,9 +136,11 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
 
     Limits and success are those of the certifier (`retract_env.objectives.verdict`), asked after each step.
 
-    1. Termination: success, no tissue lies below the line of sight.
+    1. Termination: success, no tissue lies below the line of sight, or as far above it as the scene asks
+       (`limits.clearance`).
     2. Termination: a limit breaks. The tissue tears ("strain"), or a jaw slips ("slip") or would have to pull
-       ("release"). A move may stop where that happens.
+       ("release"), or tissue would be pushed by itself or by the block that holds the fixed end ("contact"),
+       which is not computed. A move may stop where that happens.
     3. Truncation: 64 steps were taken, or as many as `task` says; `spec.max_episode_steps` says it too.
     4. Truncation: the physics cannot go on ("diverged"); the last good state is observed, nothing is rewarded
        but what led there.

@@ -28,6 +28,7 @@ FAILED = {
     "strain": "#d55e00",
     "slip": "#e69f00",
     "release": "#cc79a7",
+    "contact": "#56b4e9",
     "diverged": "#6d757d",
 }
 LINES = ("#0072b2", "#d55e00", "#00805f", "#cc79a7", "#e69f00", "#56b4e9", "#22282e", "#999999")

@@ -35,6 +35,7 @@ def describe(certificate: Certificate) -> str:
         "strain": "not certified: too much strain",
         "slip": "not certified: a jaw slips",
         "release": "not certified: a jaw lets go",
+        "contact": "not certified: tissue meets itself or the block that holds the fixed end",
         "diverged": "not certified: no equilibrium was found",
     }.get(c.reason, f"not certified: {c.reason}")
     facts = (

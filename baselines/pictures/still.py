@@ -53,6 +53,7 @@ VERDICTS = {
     "strain": "Not certified, too much strain",
     "slip": "Not certified, a jaw slips",
     "release": "Not certified, a jaw lets go",
+    "contact": "Not certified, tissue meets itself or the fixed end's block",
     "diverged": "Not certified, no equilibrium found",
 }
 

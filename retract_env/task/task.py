@@ -52,6 +52,8 @@ class Situation:
     """eps_1%, so far"""
     greatest_friction: float = 0.0
     """needed by either jaw, so far"""
+    overlapped: bool = False
+    """whether tissue ever was where something else is"""
 
 
 @dataclass(frozen=True)
@@ -63,7 +65,8 @@ class Outcome:
     in_view: bool = False
     """whether it ends because the target is in view"""
     failure: str = ""
-    """the limit that is broken: "strain", "slip" or "release"; "diverged" where the physics cannot go on"""
+    """the limit that is broken: "strain", "slip", "release" or "contact"; "diverged" where the physics cannot
+    go on"""
     broke: bool = False
     """whether it broke in this step"""
 
@@ -97,6 +100,7 @@ class RetractionTask:
             steps=before.steps,
             greatest_strain=max(before.greatest_strain, float(state.max_strain)),
             greatest_friction=max(before.greatest_friction, float(state.required_friction.max())),
+            overlapped=before.overlapped or state.overlap,
         )
 
     def _situation(self, section: SectionMesh, state: TissueState) -> Situation:
@@ -117,19 +121,22 @@ class RetractionTask:
         if not now.holding:
             return Outcome()
         if self.config.limits == "end":
-            found = self._verdict(now.state.max_strain, now.state.required_friction, now.state.clearance)
+            found = self._verdict_on(now.state)
             failure = "" if found in (None, "ok") else found or ""
             return Outcome(found is not None, found == "ok", failure, bool(failure))
-        in_view = self._verdict(0.0, 0.0, now.state.clearance) == "ok"
+        in_view = self._verdict(0.0, 0.0, now.state.clearance, overlap=False) == "ok"
         failure = self._broken_so_far(now)
         return Outcome(in_view, in_view, failure, bool(failure) and not self._broken_so_far(before))
 
     def _broken_so_far(self, now: Situation) -> str:
-        return self._verdict(now.greatest_strain, now.greatest_friction, -math.inf) or ""
+        return self._verdict(now.greatest_strain, now.greatest_friction, -math.inf, now.overlapped) or ""
 
-    def _verdict(self, strain: float, friction: Any, clearance: float) -> str | None:
+    def _verdict_on(self, state: TissueState) -> str | None:
+        return self._verdict(state.max_strain, state.required_friction, state.clearance, state.overlap)
+
+    def _verdict(self, strain: float, friction: Any, clearance: float, overlap: bool) -> str | None:
         limits = self.scene.limits
-        return verdict(strain, friction, clearance, limits.strain, limits.friction)
+        return verdict(strain, friction, clearance, limits.strain, limits.friction, limits.clearance, overlap)
 
     @property
     def stop_when(self) -> Callable[[TissueState], bool] | None:
@@ -137,7 +144,7 @@ class RetractionTask:
         return self._broken if self.config.limits == "end" else None
 
     def _broken(self, state: TissueState) -> bool:
-        found = self._verdict(state.max_strain, state.required_friction, state.clearance)
+        found = self._verdict_on(state)
         return state.progress >= 1 and found not in (None, "ok")
 
     # --- What it is worth
@@ -190,8 +197,9 @@ class RetractionTask:
         }
 
     def _way(self, now: Situation) -> float:
-        """Part of the way from the clearance at rest to zero, in [0, 1]."""
-        return float(np.clip(1 - now.state.clearance / self._outset, 0.0, 1.0))
+        """Part of the way from the clearance at rest to what the scene asks for, in [0, 1]."""
+        asked = self.scene.limits.clearance
+        return float(np.clip(1 - (now.state.clearance - asked) / (self._outset - asked), 0.0, 1.0))
 
     def _capped(self, share: float) -> float:
         return min(share, self.config.cap)
