@@ -43,10 +43,12 @@ SEQUENCE = (
     Resolution("1/12, half elsewhere", patch=12, edge=1 / 12, growth=0.15, bulk=0.15),
 )
 QUOTED = 2
-"""of SEQUENCE; those up to it extrapolate the normal forces"""
+"""Index in SEQUENCE of the mesh whose values are quoted; normal forces are extrapolated from those up to
+it."""
 METRICS = ("eps_max %", "eps %", "squeeze N %", "N %", "shape %", "friction")
-"""strain at its greatest, and at any station; normal force of either jaw, squeezed, and at any station; the
-corners of the free end and the clearance, over the length; needed friction, as a difference"""
+"""Errors of: the greatest strain; strain at any station; the jaws' normal force when squeezed; that force at
+any station; places of the free end's corners and clearance, over the length; needed friction, as a
+difference."""
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from retract_env.fem.model import FlapModel
 from retract_env.mesh import RESOLUTIONS
 
 TARGETS = {"eps_max %": 2.0, "N %": 5.0, "shape %": 1.0}
-"""of fine"""
+"""Errors that `fine` is to stay below."""
 
 
 def _two_layers(depth: float, *_: object, **__: object) -> Array:
@@ -36,7 +36,7 @@ FINER: dict[str, Callable[[], AbstractContextManager[Any]]] = {
         "retract_env.physics.fem.FlapModel", partial(FlapModel, triangle_points=6)
     ),
 }
-"""what fine leaves out"""
+"""Refinements that `fine` does without."""
 
 
 def compare(references: Sequence[dict[str, Any]], names: Sequence[str]) -> None:

@@ -39,7 +39,8 @@ GRASP = Grasp(x=-0.025, compression=0.0011)
 SQUEEZE, MOTION = 4, 12
 """increments"""
 TIGHT = 1e-8
-"""for `Equilibrium`, which measures strain energy instead; leaves less residual than felupe is asked for"""
+"""Tolerance of `Equilibrium`, which measures strain energy: the residual is then below the one asked of
+felupe."""
 MESHES = {"small": (2, 4), "large": (4, 6)}
 """elements along a jaw, elements over the height"""
 

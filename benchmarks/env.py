@@ -3,9 +3,10 @@
 Each line plays the spring model's best grasp and its CTC path, again and again, in one thread. Times are CPU
 times of that thread: steps a second in the retract phase, observation, reward and exposure included; a reset
 that closes the jaws, on a new flap and on the same again; and the first action of an episode with
-`grasp="agent"`, which meshes and squeezes. What a frame, the exposure and an observation cost ends the table.
+`grasp="agent"`, which meshes and squeezes. The last rows say what a
+frame, the exposure and an observation cost.
 
-Then what the two physics say to one and the same plan: for each scene the planner's best, played on both.
+A second table plays the best plan of each scene on both physics and says what becomes of it there.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from planners import plan
 from planners.paths import ctc
 from retract_env.env import TissueRetractEnv
 from retract_env.objectives import exposure
+from retract_env.physics.registry import PHYSICS
 from retract_env.rollout import PathPolicy, rollout
 from retract_env.scene import Scene, load_scene, sample_scene
 
@@ -119,7 +121,7 @@ def play(name: str) -> None:
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seconds", type=float, default=3.0, help="of steps a line")
-    parser.add_argument("--physics", choices=("fem", "bullet"), help="only this one")
+    parser.add_argument("--physics", choices=list(PHYSICS), help="only this one")
     parser.add_argument("--plans", nargs="*", default=PLANS, help="scenes whose plans are played, or none")
     options = parser.parse_args(arguments)
     print(f"{platform.machine()}, Python {platform.python_version()}, CPU time of one thread\n")

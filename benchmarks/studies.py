@@ -1,7 +1,7 @@
 """Times of the rivals and of whole studies: python -m benchmarks.studies.
 
-Warm, kernels loaded, but for the processes, which load them. The aims hold for two cores with nothing else to
-do.
+Kernels are loaded before the clock starts, except in whole studies, whose processes load them themselves. The
+aims hold for two cores with nothing else to do.
 """
 
 from __future__ import annotations

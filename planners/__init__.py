@@ -12,7 +12,8 @@ from planners.deform_closure import closure_grasps
 from planners.eased import plan_eased
 from planners.fem_gradient.planner import plan_fem_gradient
 from planners.light_grip import LightGrip
-from planners.proposals import PATHS, along, stable_grasps, uniform_grasps
+from planners.paths import PAPER_PATHS
+from planners.proposals import along, stable_grasps, uniform_grasps
 from planners.search import generate_and_test
 from retract_env.grasp import Grasp, JawPath
 from retract_env.scene import Scene
@@ -45,8 +46,8 @@ def _elastica(scene: Scene, grasp: Grasp, path: JawPath, resolution: str) -> Tri
 
 PLANNERS: dict[str, Planner] = {
     # the paper's, and the paths that it compares with
-    **{kind: partial(_search, kind, stable_grasps, [kind], Trial) for kind in PATHS},
-    "exhaustive": partial(_search, "exhaustive", uniform_grasps, list(PATHS), Trial),
+    **{kind: partial(_search, kind, stable_grasps, [kind], Trial) for kind in PAPER_PATHS},
+    "exhaustive": partial(_search, "exhaustive", uniform_grasps, PAPER_PATHS, Trial),
     "light_grip": partial(_search, "light_grip", stable_grasps, ["ctc"], LightGrip),
     "deform_closure": partial(_search, "deform_closure", closure_grasps, ["ctc"], Trial),
     "eased": plan_eased,

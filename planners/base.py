@@ -15,7 +15,7 @@ from retract_env.mesh import RESOLUTIONS
 from retract_env.scene import Scene
 
 PROMISING = "promising"
-"""Reason of a candidate that would be certified, were its mesh not too coarse for that."""
+"""Reason of a candidate that keeps all limits, on a mesh that is too coarse for a certificate."""
 
 
 @dataclass

@@ -34,11 +34,12 @@ from retract_env.spring import optimal_compression
 Array = NDArray[np.float64]
 
 PAIRS, NODES = 160, 10_000
-"""As in Sec. V-A."""
+"""Pairs of jaws, and about how many nodes the mesh has, both as in Sec. V-A."""
 SMALL = 1e-6
-"""of the height, by which the jaws close: strains are linear in it to the same part."""
+"""Part of the height by which the jaws close: so little that strains are linear in it, to the same part."""
 RIPPLE = 0.01
-"""Part of the stiffness that a minimum must lie below the maxima beside it; the mesh makes smaller ones."""
+"""A minimum counts where it lies below the maxima beside it by this part of them; the mesh makes shallower
+ones."""
 
 
 @dataclass(frozen=True)

@@ -27,28 +27,30 @@ TURN = 0.82
 STRETCH = 0.01
 """By how much the flap is drawn out where it would clear the line, over its length."""
 RADII = (0.16, 0.20, 0.24, 0.29, 0.37, 0.45, 0.60, 0.75, 1.00)
-"""Goal radius (Eq. 6) over the length: nearer and steeper lines have smaller ones. ..."""
+"""Goal radii (Eq. 6), over the length, for which PLACES and FIRST are given; nearer and steeper lines of
+sight have smaller ones. `python -m benchmarks.eased` fits both to random flaps and prints both."""
 PLACES = (0.31, 0.33, 0.42, 0.47, 0.53, 0.60, 0.70, 0.77, 0.80)
-"""... How far from the fixed end the grasp strains the tissue least then, over the length, ..."""
+"""Distance from the fixed end, over the length, of the grasp that strains the tissue least; for each of
+RADII."""
 FIRST = (0.26, 0.24, 0.16, 0.115, 0.082, 0.055, 0.038, 0.033, 0.036)
-"""... and about how much compression holds, over the height. Found by search on some hundred random flaps;
-veins matter less."""
+"""Compression, over the height, that about holds the flap there, for each of RADII; it is tried first. Veins
+matter less than the line of sight."""
 ASIDE = (0.0, -0.08, 0.08)
-"""Where else a grasp is sought, over the length, if none holds there."""
+"""Shifts of the grasp, over the length, from the table's place: tried in this order until a grasp holds."""
 BOUNDS = (0.02, 0.4)
 """Least and greatest compression, over the height."""
 SHARE = 0.73
-"""Needed friction aimed for, over its limit: what is left bears the differences between meshes, and the
-errors of those who learn from it."""
+"""Part of the friction limit that a grip is to need. The rest covers differences between meshes, and the
+errors of policies that learn from these plans."""
 ENOUGH = (0.65, 0.80)
-"""Needed friction over its limit at which a compression is not corrected any more."""
+"""A compression that needs between these parts of the friction limit is corrected no further."""
 FIRMER = 1.3
-"""Times the compression that slipped is tried next."""
+"""After a compression that slipped, this many times as much is tried."""
 MOST_TRIALS = 4
 """Compressions tried for one grasp."""
 SEARCHED_ON = "coarse"
 INCREMENTS = 12
-"""Of the paths that are searched; the one handed in has the usual number."""
+"""Increments of the paths that the search tries; the path handed in has those of `paths.INCREMENTS`."""
 
 
 def eased(scene: Scene, grasp: Grasp, increments: int = paths.INCREMENTS) -> JawPath:
@@ -122,7 +124,7 @@ def plan_eased(
 
 
 def after(tried: Sequence[Candidate], on_update: OnUpdate | None) -> OnUpdate | None:
-    """on_update that is also shown the candidates tried before."""
+    """An on_update for later candidates that shows those tried before them too."""
     return None if on_update is None else lambda candidates: on_update([*tried, *candidates])
 
 

@@ -16,14 +16,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from planners.certify import Trial
-from planners.proposals import PATHS
+from planners.paths import PATHS
 from retract_env.grasp import Grasp, JawPath
 from retract_env.scene import Limits, Scene
 
 MARGIN = 0.05
 """Part of the friction limit that the grip leaves unused."""
 TOLERANCE = 0.02
-"""The friction needed comes this close to what is allowed, from below, in parts of it."""
+"""The search ends once the needed friction is below what is allowed by less than this part of it."""
 SEARCHED_ON = "coarse"
 DOUBT = 0.1
 """Strain on that mesh, less this part, bounds the certified one from below: it is at most 6 % too high there.
@@ -32,7 +32,7 @@ MOST_TRIALS = 10
 LIFTED = 5.0
 """Friction limit of the trials, which are to say how much is needed; the highest that a scene may have."""
 FIRMEST = 0.9
-"""of the flap's height"""
+"""Greatest compression, over the flap's height."""
 SHUT = 1.05
 """No grip is sought between one that slips and one that breaks another limit, once they are this close."""
 

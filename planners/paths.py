@@ -1,4 +1,4 @@
-"""Jaw paths of the paper: constant tissue curvature (CTC), circular, linear. Sec. IV-D, V-B.
+"""Kinds of jaw paths. The paper's: constant tissue curvature (CTC), circular, linear. Sec. IV-D, V-B.
 
 Every path begins at rest separation (row 0) and squeezed in place (row 1); the motion follows, at that
 separation. It runs on past the pose where an ideal flap would clear the line of sight, to an end that
@@ -11,6 +11,8 @@ axis, written so that they lose no digits at the flat start, where the radius is
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,7 +25,8 @@ Array = NDArray[np.float64]
 INCREMENTS = 24
 """Steps from the squeezed grasp to the pose where an ideal flap would clear the line of sight."""
 LONGEST = 8
-"""A path that would take more than this many times `increments` grows its steps; fewer lead to the goal."""
+"""Steps of the longest path, over `increments`. One that would have more gets longer steps instead, so that
+fewer of them lead to the goal."""
 MOST_TURN = 1.5 * math.pi
 """rad. CTC ends when the arc has turned so far that the jaws come down on the other side of its centre."""
 MOST_SWING = math.radians(170)
@@ -163,3 +166,17 @@ def _path(scene: Scene, grasp: Grasp, motion: Array, kind: str) -> JawPath:
     poses[0, 3] = height
     poses[1:, 3] = height - grasp.compression
     return JawPath.from_poses(poses, kind)
+
+
+PathOf = Callable[[Scene, Grasp], JawPath]
+
+PATHS: dict[str, PathOf] = {
+    "ctc": ctc,
+    "circular": circular,
+    "linear60": partial(linear, slope=math.radians(60)),
+    "linear75": partial(linear, slope=math.radians(75)),
+}
+"""Every kind of path, by the name that its `JawPath.kind` bears. No kind is a planner, or part of a study,
+unless PLANNERS or the study names it."""
+PAPER_PATHS = ("ctc", "circular", "linear60", "linear75")
+"""The four kinds that the paper compares. Sec. V-B."""

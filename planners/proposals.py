@@ -2,28 +2,16 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterable
-from functools import partial
+from collections.abc import Iterable
 from itertools import product
 
 import numpy as np
 
-from planners import paths
+from planners.paths import PATHS
 from retract_env.grasp import Grasp, JawPath
 from retract_env.mesh import SLIVER
 from retract_env.scene import Scene
 from retract_env.spring import SpringModel, optimal_compression
-
-PathOf = Callable[[Scene, Grasp], JawPath]
-
-PATHS: dict[str, PathOf] = {
-    "ctc": paths.ctc,
-    "circular": paths.circular,
-    "linear60": partial(paths.linear, slope=math.radians(60)),
-    "linear75": partial(paths.linear, slope=math.radians(75)),
-}
-"""The four paths that the paper compares, by the name that `JawPath.kind` bears."""
 
 UNIFORM = 50
 """Grasps of an exhaustive search, as many as for Fig. 12."""
@@ -58,8 +46,6 @@ def uniform_grasps(scene: Scene, samples: int = UNIFORM) -> list[Grasp]:
     return [grasp(x) for x in places.tolist()]
 
 
-def along(
-    scene: Scene, grasps: Iterable[Grasp], kinds: Iterable[str] = tuple(PATHS)
-) -> list[tuple[Grasp, JawPath]]:
+def along(scene: Scene, grasps: Iterable[Grasp], kinds: Iterable[str]) -> list[tuple[Grasp, JawPath]]:
     """Every grasp with every path of these kinds, names in PATHS."""
     return [(grasp, PATHS[kind](scene, grasp)) for grasp, kind in product(grasps, kinds)]

@@ -12,7 +12,7 @@ import math
 import re
 import reprlib
 import stat
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from numbers import Real
 from pathlib import Path
@@ -139,6 +139,29 @@ def _name(value: Any) -> Any:
     if not isinstance(value, str) or not value.isprintable() or not 0 < len(value) <= 100:
         raise refusal(f" = {brief(value)}, not a text of 1 to 100 printable characters")
     return value
+
+
+def whole(low: int, high: int) -> BeforeValidator:
+    """Marks an int field that takes a whole number in [low, high]; 1e6 is one."""
+
+    def check(value: Any) -> int:
+        number = Range(low, high).check(value)
+        if number != int(number):
+            raise refusal(f" = {brief(value)}, not a whole number")
+        return int(number)
+
+    return BeforeValidator(check)
+
+
+def one_of(names: Collection[str]) -> BeforeValidator:
+    """Marks a text field that takes one of these names, as they are when it is checked."""
+
+    def check(value: Any) -> str:
+        if not isinstance(value, str) or value not in names:
+            raise refusal(f" = {brief(value)}, allowed {', '.join(names)}")
+        return value
+
+    return BeforeValidator(check)
 
 
 Listed = BeforeValidator(_listed)

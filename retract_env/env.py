@@ -1,26 +1,42 @@
-"""The retraction task as a Gymnasium environment: a thin shell around episode.py, task.py and actions.py."""
+"""The retraction task as a Gymnasium environment: a thin shell around an episode and the task's rules.
+
+From an action to an equilibrium and back: `step` here, `Episode.act` (task/episode.py), `move_to` of a
+physics (physics/fem.py), and what is made of its state (task/task.py, task/observation.py).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, Literal
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
-from gymnasium.utils import EzPickle
 from numpy.typing import ArrayLike, NDArray
 
+from retract_env.config import Frozen
 from retract_env.drawing.stage import PIXELS, Stage
 from retract_env.grasp import Grasp
-from retract_env.physics.registry import DEFAULT_RESOLUTION, PhysicsPool
+from retract_env.physics.pool import PhysicsPool
 from retract_env.scene import Scene, load_scene, sample_scene
-from retract_env.task import actions, task
+from retract_env.scene.sampling import SceneRanges
+from retract_env.task import Outcome, RetractionTask, Sensors, TaskConfig, actions, default_scene
 from retract_env.task.episode import Episode
+from retract_env.task.observation import bounds
 
 
-class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]], EzPickle):
+class Settings(Frozen):
+    """What is given as plain data, read together so that an error names the argument."""
+
+    task: TaskConfig = TaskConfig()
+    ranges: SceneRanges = SceneRanges()
+    sensors: Sensors = Sensors()
+
+
+class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
     """
     ## Description
 
@@ -49,7 +65,8 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]], EzPickle):
     | 1 | compression of the flap between the jaws, geometrically | 0.02 height | 0.5 height |
     | 2 | none | | |
 
-    Every later action moves the gripper; the distance between its jaws stays:
+    Every later action moves the gripper; the distance between its jaws stays. `task` changes how far, and the
+    range of the compression:
 
     | Num | Action | -1 | 1 |
     | --- | --- | --- | --- |
@@ -60,12 +77,13 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]], EzPickle):
     ## Observation Space
 
     `obs="state"`: `Box(float32)` of shape (107,), whose parts `retract_env.task.SLICES` names. Values are
-    clipped to their bounds.
+    clipped to their bounds. The bound 2 of strain and friction is the task's cap. `sensors` blurs parts of it
+    or leaves them out.
 
     | Num | Name | Observation | Min | Max | Unit |
     | --- | --- | --- | --- | --- | --- |
     | 0 | `holding` | 0 until the grasp is chosen, 1 with closed jaws | 0 | 1 |  |
-    | 1 | `time_left` | steps that are left | 0 | 1 | 64 steps |
+    | 1 | `time_left` | steps that are left | 0 | 1 | all steps |
     | 2-3 | `gripper` | midpoint of the jaws, x and y | -3 | 3 | length |
     | 4-5 | `angle` | sine and cosine of the jaw axis' angle, from +y, counter-clockwise | -1 | 1 |  |
     | 6 | `separation` | distance between the jaws | 0 | 2 | height |
@@ -87,21 +105,23 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]], EzPickle):
 
     ## Rewards
 
-    The sum of these terms, each of which `info["reward_terms"]` gives by name; the weights are
-    `retract_env.task.WEIGHTS`:
+    The sum of these terms, each of which `info["reward_terms"]` gives by name; `task` changes the weights:
 
     - *exposure*: growth of the exposure.
     - *clearance*: share of the way from the clearance at rest to zero that was made.
     - *strain*: -0.5 times the growth of the episode's greatest strain over its limit, up to 2.
     - *friction*: -0.25 times the growth of the episode's greatest needed friction over its limit, up to 2.
-    - *success*: 1 + margin in the last step, the margin being 1 - greatest strain / limit.
-    - *failure*: -1 where a limit breaks.
+    - *success*: 1 + margin in the step that brings the target into view, the margin being 1 - greatest
+      strain / limit, or 0.
+    - *failure*: -1 in the step that breaks a limit.
 
-    A step's reward, and that of a whole episode, lies in [-4.5, 4].
+    A step's reward, and that of a whole episode, lies in `task_config.reward_range`, which is [-4.5, 4].
 
-    `info` also holds `is_success`; `failure` ("", "strain", "slip", "release" or "diverged"); `cost`, how
-    many limits are broken, for safe reinforcement learning; `max_strain` and `required_friction`, the
-    greatest so far; `clearance` (m) and `exposure` now.
+    `info` also holds `is_success`; `failure` ("", "strain", "slip", "release" or "diverged"); for safe
+    reinforcement learning `cost`, how many limits are broken now, and `cost_terms`, by how much of itself
+    each of them, of `strain` and of `friction`, is exceeded now: 0 where it holds, at most the cap less 1,
+    also where a jaw would have to pull; `max_strain` and `required_friction`, the greatest so far;
+    `clearance` (m) and `exposure` now.
 
     ## Starting State
 
@@ -118,15 +138,21 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]], EzPickle):
     1. Termination: success, no tissue lies below the line of sight.
     2. Termination: a limit breaks. The tissue tears ("strain"), or a jaw slips ("slip") or would have to pull
        ("release"). A move may stop where that happens.
-    3. Truncation: 64 steps were taken.
+    3. Truncation: 64 steps were taken, or as many as `task` says; `spec.max_episode_steps` says it too.
     4. Truncation: the physics cannot go on ("diverged"); the last good state is observed, nothing is rewarded
        but what led there.
+
+    With `task={"limits": "cost"}` a broken limit ends nothing, and no move stops for it: the episode goes on
+    until the target is in view or time is up. The first broken limit counts once as *failure*; `is_success`
+    is what a certifier would say, so it stays False, and `failure` names the limit to the end. With
+    `{"limits": "cost", "weights": {"failure": 0, "strain": 0, "friction": 0}}` the reward knows nothing of
+    limits but the margin of success, and `cost` or `cost_terms` nothing but them.
 
     ## Arguments
 
     All can be written as JSON.
 
-    - `physics` (`"bullet"`): `"bullet"` or `"fem"`.
+    - `physics` (`"bullet"`): a name of `retract_env.physics.registry.PHYSICS`, `"bullet"` or `"fem"`.
     - `scene` (`None`): path of a scene's YAML file, a scene as plain data (`Scene.dump()`), `"random"` for a
       new one from the seed at each reset, or None for the paper's flap without veins.
     - `grasp` (`"agent"`): `"agent"` lets the first action choose; `"spring"` takes the best grasp of the
@@ -136,6 +162,21 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]], EzPickle):
     - `obs` (`"state"`): `"state"` or `"pixels"`.
     - `camera` (`"section"`): what frames show, `"section"`, or `"3d"` for Bullet's own picture (`rgb_array`).
     - `render_mode` (`None`): `"rgb_array"`, frames of 640 x 480, or `"human"`.
+    - `task` (`None`): what differs from `retract_env.task.TaskConfig()`: `weights` (those of the terms
+      above), `steps` (64), `move` ([0.002, 0.002, 0.105], m, m, rad: how far -1 or 1 moves the gripper),
+      `compression` ([0.02, 0.5], least and greatest, over the height), `cap` (2), `limits` (`"end"` or
+      `"cost"`). Gymnasium's own `max_episode_steps` can only cut episodes short, unseen by `time_left`.
+    - `ranges` (`None`): what `scene="random"` draws from where it differs from
+      `retract_env.scene.sampling.SceneRanges()`: `{"veins": [0, 5], "slope": [0.5, 1.2]}`.
+    - `sensors` (`None`): `{"noise": ..., "hide": [...]}`. `noise`: deviation of Gaussian noise on parts of
+      the observation, in the units above, `{"strain": 0.1, "k_eq": 0.5}`, or a number for all parts but
+      `holding` and `time_left`; it comes from the environment's seed and leaves no bound. `hide`: names of
+      parts that are observed as 0.
+
+    ## Copies
+
+    `copy.deepcopy(env)` and pickles go on from where the environment stands, as it would have gone on, to the
+    last bit: the copy makes the moves of the episode again, on a flap of its own, before its next step.
 
     ## Version History
 
@@ -156,31 +197,50 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]], EzPickle):
         obs: str = "state",
         camera: str = "section",
         render_mode: str | None = None,
+        task: Mapping[str, Any] | TaskConfig | None = None,
+        ranges: Mapping[str, Any] | SceneRanges | None = None,
+        sensors: Mapping[str, Any] | Sensors | None = None,
     ):
-        """Raises ValueError (SceneError) for what is not allowed, ImportError where pybullet is missing."""
-        EzPickle.__init__(self, physics, scene, grasp, resolution, obs, camera, render_mode)
+        """Raises ValueError (ConfigError) for what is not allowed, ImportError where the physics needs a
+        package that is missing."""
+        self._pool = PhysicsPool(physics, resolution)
         for name, value, allowed in (
             ("obs", obs, ("state", "pixels")),
-            ("camera", camera, ("section", "3d") if physics == "bullet" else ("section",)),
+            ("camera", camera, ("section", "3d") if self._pool.kind.pictures else ("section",)),
             ("render_mode", render_mode, (None, *self.metadata["render_modes"])),
         ):
             if value not in allowed:
                 raise ValueError(f"{name} = {value!r}, allowed {', '.join(map(str, allowed))}")
-        self._pool = PhysicsPool(physics, resolution or DEFAULT_RESOLUTION.get(physics, ""))
+        given = {"task": task, "ranges": ranges, "sensors": sensors}
+        settings = Settings.from_data({name: value for name, value in given.items() if value is not None})
+        self.task_config, self._ranges, self._sensors = settings.task, settings.ranges, settings.sensors
         self._scene = read_scene(scene)
         self._grasp = read_grasp(grasp)
+        if ranges is not None and self._scene != "random":
+            raise ValueError("ranges: allowed with scene = 'random' alone")
+        if sensors is not None and obs != "state":
+            raise ValueError(f"sensors: allowed with obs = 'state' alone, not with {obs!r}")
         self.obs, self.render_mode = obs, render_mode
         self.action_space = spaces.Box(-1.0, 1.0, (actions.SIZE,), np.float32)
         if obs == "state":
-            self.observation_space: spaces.Space[NDArray[Any]] = spaces.Box(
-                task.LOW, task.HIGH, dtype=np.float32
-            )
+            low, high = bounds(self.task_config)
+            self.observation_space: spaces.Space[NDArray[Any]] = spaces.Box(low, high, dtype=np.float32)
         else:
             self.observation_space = spaces.Box(0, 255, (PIXELS[1], PIXELS[0], 3), np.uint8)
-        self._task: task.RetractionTask | None = None
+        self._spec: EnvSpec | None = None
+        self._task: RetractionTask | None = None
         self._episode: Episode | None = None
         self._over = True
         self._stage = Stage(camera, self.metadata["render_fps"])
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """What `gym.make` made it from; max_episode_steps is the task's number of steps."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        self._spec = spec and replace(spec, max_episode_steps=self.task_config.steps)
 
     @property
     def episode(self) -> Episode:
@@ -201,20 +261,19 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]], EzPickle):
         if unknown := set(options) - {"scene", "grasp", "line_of_sight"}:
             raise ValueError(f"options: unknown {', '.join(sorted(unknown))}")
         source = read_scene(options["scene"]) if "scene" in options else self._scene
-        scene = source if isinstance(source, Scene) else sample_scene(self.np_random)
+        scene = source if isinstance(source, Scene) else sample_scene(self.np_random, self._ranges)
         if "line_of_sight" in options:
             scene = Scene.from_data(scene.dump() | {"line_of_sight": options["line_of_sight"]})
         grasp = read_grasp(options["grasp"]) if "grasp" in options else self._grasp
         if self._task is None or self._task.scene != scene:
-            self._task = task.RetractionTask(scene)
+            self._task = RetractionTask(scene, self.task_config)
         self._over, self._episode = True, Episode(self._task, self._pool)
         if grasp != "agent":
             self._episode.take(grasp if isinstance(grasp, Grasp) else None)
         self._over = False
         if self.render_mode == "human":
             self._stage.show(self.episode)
-        terms = dict.fromkeys(task.WEIGHTS, 0.0)
-        return self._observation(), self._task.info(self._episode.now, terms, None)
+        return self._observation(), self._task.info(self._episode.now, None, Outcome())
 
     def step(self, action: ArrayLike) -> tuple[NDArray[Any], float, bool, bool, dict[str, Any]]:
         """Close the jaws or move them. Raises ValueError for what is no action, ResetNeeded after the end."""
@@ -223,14 +282,14 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]], EzPickle):
         episode, rules = self.episode, self.episode.task
         before = episode.now
         episode.act(action)
-        verdict = None if episode.diverged else rules.verdict(episode.now)
-        terminated = verdict is not None
-        truncated = not terminated and (episode.diverged or episode.now.steps >= task.MAX_STEPS)
+        outcome = Outcome(failure="diverged") if episode.diverged else rules.judge(before, episode.now)
+        terminated = outcome.over
+        truncated = not terminated and (episode.diverged or episode.now.steps >= self.task_config.steps)
         self._over = terminated or truncated
         if self.render_mode == "human":
             self._stage.show(self.episode)
-        terms = rules.reward_terms(before, episode.now, verdict)
-        info = rules.info(episode.now, terms, verdict, episode.diverged)
+        terms = rules.reward_terms(before, episode.now, outcome)
+        info = rules.info(episode.now, terms, outcome)
         return self._observation(), sum(terms.values()), terminated, truncated, info
 
     def render(self) -> NDArray[np.uint8] | None:
@@ -246,13 +305,14 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]], EzPickle):
     def _observation(self) -> NDArray[Any]:
         if self.obs == "pixels":
             return self._stage.pixels(self.episode)
-        return self.episode.task.observation(self.episode.now)
+        exact = self.episode.task.observation(self.episode.now)
+        return self._sensors.read(exact, self.task_config, self.np_random)
 
 
 def read_scene(source: str | Mapping[str, Any] | Scene | None) -> Scene | Literal["random"]:
     """A scene from what the environment was given. Raises SceneError."""
     if source is None:
-        return task.default_scene()
+        return default_scene()
     if source == "random":
         return "random"
     if isinstance(source, Scene):

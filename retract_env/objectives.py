@@ -13,6 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
+Verdict = Literal["strain", "release", "slip", "contact", "ok"]
+
 WORST_FRACTION = 0.01
 """Share of the volume that eps_1% averages over."""
 
@@ -72,6 +74,16 @@ def clearance(points: ArrayLike, camera: ArrayLike, target: ArrayLike) -> float:
     return float((away[..., 0] * along[1] - away[..., 1] * along[0]).min())
 
 
+def inside_block(points: ArrayLike, height: float, least: float) -> bool:
+    """Whether a point lies inside the block x > 0, y < height that holds the fixed end, m.
+
+    points: (..., 2) m; least: m, how deep inside it has to be to count.
+    """
+    points = np.asarray(points, float)
+    depth = np.minimum(points[..., 0], height - points[..., 1])
+    return bool((depth > least).any())
+
+
 def bed_hits(points: ArrayLike, camera: ArrayLike) -> Array:
     """Where rays from the camera through points meet the bed y = 0, m.
 
@@ -129,11 +141,15 @@ def verdict(
     clearance: float,
     strain_limit: float,
     friction_limit: float,
-) -> Literal["strain", "release", "slip", "ok"] | None:
+    clearance_limit: float = 0.0,
+    overlap: bool = False,
+) -> Verdict | None:
     """What has become of a retraction in one state: a broken limit, success, or None while it goes on.
 
-    max_strain: eps_1%; required_friction: of each closed jaw, 0 for open ones; clearance: m. Limits come
-    before success: "strain" torn, "release" a jaw pulls, "slip" it slides, "ok" the target is in view.
+    max_strain: eps_1%; required_friction: of each closed jaw, 0 for open ones; clearance: m; overlap: whether
+    tissue is where something else is. Limits come before success: "strain" torn, "release" a jaw pulls,
+    "slip" it slides, "contact" tissue would be pushed by itself or by the block that holds the fixed end,
+    which nothing here computes, "ok" the target is in view.
     """
     friction = float(np.max(required_friction))
     if max_strain > strain_limit:
@@ -142,4 +158,6 @@ def verdict(
         return "release"
     if friction > friction_limit:
         return "slip"
-    return "ok" if clearance >= 0 else None
+    if overlap:
+        return "contact"
+    return "ok" if clearance >= clearance_limit else None

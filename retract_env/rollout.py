@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 
 from retract_env.grasp import Grasp, JawPath
 from retract_env.scene import Scene
-from retract_env.task import SLICES, actions
+from retract_env.task import SLICES, TaskConfig, actions
 
 Array = NDArray[np.float64]
 Policy = Callable[[NDArray[Any]], NDArray[Any]]
-"""From an observation to an action; it may remember what it saw since the observation with all time left."""
+"""From an observation to an action. It may remember what it saw in this episode, which began with the
+observation that has all its time left."""
 
 
 @dataclass(frozen=True)
@@ -99,14 +100,15 @@ class PathPolicy:
     add up. At the path's end it waits.
     """
 
-    def __init__(self, scene: Scene, grasp: Grasp, path: JawPath):
-        self.scene, self.grasp, self.path = scene, grasp, path
+    def __init__(self, scene: Scene, grasp: Grasp, path: JawPath, config: TaskConfig | None = None):
+        """config: that of the environment it plays in, whose limits of a step it keeps."""
+        self.scene, self.grasp, self.path, self.config = scene, grasp, path, config or TaskConfig()
         self._progress = 1.0
 
     @classmethod
-    def of(cls, plan: Planned) -> PathPolicy:
+    def of(cls, plan: Planned, config: TaskConfig | None = None) -> PathPolicy:
         """The policy that plays a plan."""
-        return cls(plan.scene, plan.grasp, plan.path)
+        return cls(plan.scene, plan.grasp, plan.path, config)
 
     def __call__(self, observation: NDArray[Any]) -> NDArray[np.float32]:
         """(3,) action. Raises ValueError for an observation that is not the task's state vector."""
@@ -115,17 +117,18 @@ class PathPolicy:
         if observation[SLICES["time_left"]] == 1:
             self._progress = 1.0
         if not observation[SLICES["holding"]]:
-            return actions.from_grasp(self.grasp, self.scene).astype(np.float32)
+            return actions.from_grasp(self.grasp, self.scene, self.config).astype(np.float32)
         here = gripper_pose(observation, self.scene)
         self._progress = self._reach(here)
-        return actions.from_pose(self.path.pose_at(self._progress), here).astype(np.float32)
+        towards = self.path.pose_at(self._progress)
+        return actions.move_towards(towards, here, self.config).astype(np.float32)
 
     def _reach(self, here: Array) -> float:
         """Progress that one step from `here` attains: just before the path first leaves the step's limits."""
         pieces = 16
         count = max(1, int(np.ceil((self.path.last - self._progress) * pieces)))
         ahead = np.linspace(self._progress, self.path.last, count + 1)
-        away = np.abs(_turned(self.path.pose_at(ahead), here)) / actions.STEP
+        away = np.abs(_turned(self.path.pose_at(ahead), here)) / self.config.move
         outside = np.flatnonzero(away.max(axis=1) > 1)
         outside = outside[outside > 0]  # where the gripper lags behind, go on all the same
         if len(outside) == 0:
@@ -133,7 +136,7 @@ class PathPolicy:
         inner, outer = ahead[outside[0] - 1], ahead[outside[0]]
         for _ in range(20):
             middle = (inner + outer) / 2
-            within = np.abs(_turned(self.path.pose_at(middle), here) / actions.STEP).max() <= 1
+            within = np.abs(_turned(self.path.pose_at(middle), here) / self.config.move).max() <= 1
             inner, outer = (middle, outer) if within else (inner, middle)
         return float(inner)
 

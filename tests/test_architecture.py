@@ -55,11 +55,11 @@ class Ban:
 
 BANS = (
     Ban("planners", ("retract_env.env", "retract_env.physics.bullet")),
-    # to register the environments is what `import retract_env` is for
+    # `import retract_env` registers an environment for every physics
     Ban("planners", ("gymnasium",), but_through=("retract_env",)),
     Ban("retract_env.physics.bullet", ("retract_env.fem",), but_through=("retract_env.physics.measures",)),
-    Ban("retract_env.fem", ("retract_env.physics", "retract_env.rod")),
-    Ban("retract_env.rod", ("retract_env.physics", "retract_env.fem")),
+    Ban("retract_env.fem", ("retract_env.physics", "retract_env.rod"), but_through=("retract_env",)),
+    Ban("retract_env.rod", ("retract_env.physics", "retract_env.fem"), but_through=("retract_env",)),
 )
 
 # A heavy dependency, and the only modules that may import it.

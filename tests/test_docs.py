@@ -11,7 +11,7 @@ import pytest
 
 from retract_env.env import TissueRetractEnv
 from retract_env.mesh import SLIVER
-from retract_env.task import LAYOUT, SLICES, actions, task
+from retract_env.task import LAYOUT, SIZE, SLICES, TaskConfig, Weights
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = (ROOT / "docs" / "environment.md").read_text("utf-8")
@@ -35,13 +35,13 @@ def test_the_observations_are_the_layout() -> None:
         span = SLICES[part.name]
         numbers = str(span.start) if part.size == 1 else f"{span.start}-{span.stop - 1}"
         assert row == [numbers, f"`{part.name}`", part.meaning, f"{part.low:g}", f"{part.high:g}", part.unit]
-    assert f"{task.SIZE} numbers with finite bounds" in PAGE
+    assert f"{SIZE} numbers with finite bounds" in PAGE
 
 
 def test_the_reward_has_the_tasks_terms_and_weights() -> None:
     documented = {name: float(weight) for name, weight, _ in rows(PAGE, "Rewards and ends")}
-    assert documented == {f"`{name}`": weight for name, weight in task.WEIGHTS.items()}
-    assert f"truncated after {task.MAX_STEPS} steps" in PAGE
+    assert documented == {f"`{name}`": weight for name, weight in Weights().model_dump().items()}
+    assert f"truncated after {TaskConfig().steps} steps" in PAGE
 
 
 def test_the_actions_are_those_of_the_docstring_and_of_the_code() -> None:
@@ -49,9 +49,9 @@ def test_the_actions_are_those_of_the_docstring_and_of_the_code() -> None:
     assert documented == rows(inspect.cleandoc(TissueRetractEnv.__doc__ or ""), "Action Space")
     (x, compression, none), moves = documented[:3], documented[3:]
     assert x[3] == f"{0.5 + SLIVER:g} jaw widths before the fixed end" and none[1] == "none"
-    assert compression[2:] == [f"{share:g} height" for share in actions.COMPRESSION]
+    assert compression[2:] == [f"{share:g} height" for share in TaskConfig().compression]
     steps = np.array([float(row[3].split()[0]) for row in moves]) * [1e-3, 1e-3, np.radians(1)]
-    assert steps == pytest.approx(actions.STEP)
+    assert steps == pytest.approx(TaskConfig().move)
 
 
 def test_every_argument_is_listed_with_its_default() -> None:
@@ -73,8 +73,40 @@ def test_examples_run(example: str, tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 @pytest.mark.parametrize("page", PAGES, ids=[str(page.relative_to(ROOT)) for page in PAGES])
 def test_links_lead_somewhere(page: Path) -> None:
-    for target in re.findall(r"\]\(([^)#\s]+)", page.read_text("utf-8")):
+    prose = re.sub(r"```.*?```", "", page.read_text("utf-8"), flags=re.DOTALL)
+    for target in re.findall(r"\]\(([^)#\s]+)", prose):
         assert target.startswith("https://") or (page.parent / target).exists(), target
+
+
+HOMES = ("retract_env", "planners", "baselines", "benchmarks", "configs", "docs", "tests")
+
+
+def paths_named(text: str) -> set[str]:
+    """Paths in a text: what begins with a folder of the tree, and every file of Python."""
+    folders = rf"(?<![\w./-])(?:{'|'.join(HOMES)})/[\w./*-]*"
+    named = re.findall(rf"{folders}|(?<![\w./-])[\w/-]+\.py\b", text)
+    modules = re.findall(r"python -m (benchmarks(?:\.\w+)+)", text)
+    return {name.rstrip(".") for name in named} | {f"{module.replace('.', '/')}.py" for module in modules}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=[str(page.relative_to(ROOT)) for page in PAGES])
+def test_paths_that_are_named_exist(page: Path) -> None:
+    named = paths_named(page.read_text("utf-8"))
+    assert [path for path in sorted(named) if not list(ROOT.glob(path))] == []
+
+
+@pytest.mark.parametrize("folder", ["retract_env", "planners", "baselines", "benchmarks"])
+def test_the_commands_that_sources_name_exist(folder: str) -> None:
+    for source in sorted((ROOT / folder).rglob("*.py")):
+        for module in re.findall(r"python -m ((?:\w+\.)+\w+)", source.read_text("utf-8")):
+            assert (ROOT / f"{module.replace('.', '/')}.py").exists(), f"{source}: {module}"
+
+
+def test_what_lives_where_names_every_folder() -> None:
+    """The table in how-it-works has a row for each room, so that a newcomer finds it."""
+    page = (ROOT / "docs" / "how-it-works.md").read_text("utf-8")
+    rooms = {p.parent.relative_to(ROOT).as_posix() for p in ROOT.glob("[!.]*/*/__init__.py")}
+    assert {room for room in rooms if f"`{room}/" not in page} == set()
 
 
 def table(text: str, heading: str) -> dict[str, dict[str, str]]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,16 +18,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 import retract_env  # noqa: F401  (registers the environments)
-from baselines.jobs.journal import Row, Task
-from baselines.learning.policies import TENSORS, Policy, PolicyError, load_policy, policy_folder
+from baselines.jobs.journal import Row, WorkItem
+from baselines.learning.policies import TENSORS, load_policy, policy_folder
 from planners import NoPlan, certify, plan
 from planners.base import PROMISING
 from retract_env.grasp import Grasp, JawPath
-from retract_env.rollout import Policy as Acting
+from retract_env.physics.registry import PHYSICS
 from retract_env.rollout import rollout
 from retract_env.scene import Scene
 
-FEM, BULLET = "TissueRetractFEM-v0", "TissueRetract-v0"
+FEM, BULLET = PHYSICS["fem"].env_id, PHYSICS["bullet"].env_id
+Decide = Callable[[NDArray[Any]], NDArray[Any]]
+"""From an observation to an action."""
+
+
+def _random(item: WorkItem) -> Decide:
+    rng = np.random.default_rng([item["seed"], item["number"]])
+    return lambda _: rng.uniform(-1, 1, 3).astype(np.float32)
+
+
+def _nothing(_: WorkItem) -> Decide:
+    return lambda _: np.zeros(3, np.float32)
+
+
+UNTRAINED: dict[str, Callable[[WorkItem], Decide]] = {"random": _random, "nothing": _nothing}
+"""What plays in the environment without having learned: from a scene's work item, as `compete` has it."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +50,7 @@ class Method:
     """One competitor, as plain data for tasks."""
 
     kind: str
-    """planner, policy, random or nothing"""
+    """planner, policy, or one of UNTRAINED"""
     name: str
     """what tables call it"""
     run: int = 0
@@ -53,10 +68,7 @@ class Method:
         folder = policy_folder(folder)
         policy = load_policy(folder)
         content = hashlib.sha256((folder / TENSORS).read_bytes()).hexdigest()[:16]
-        seed = policy.training.get("seed", 0)
-        if not isinstance(seed, int):
-            raise PolicyError(f"{folder}: training.seed = {seed!r}, allowed a whole number")
-        return cls("policy", policy.name, seed, str(folder), content)
+        return cls("policy", policy.name, int(policy.training["seed"]), str(folder), content)
 
 
 @dataclass
@@ -79,7 +91,7 @@ class HandedIn:
 class _Timed:
     """A policy and the time that it takes."""
 
-    policy: Acting
+    policy: Decide
     seconds: float = 0.0
     calls: int = field(default=0)
 
@@ -91,7 +103,7 @@ class _Timed:
         return action
 
 
-def compete(task: Task) -> Row:
+def compete(task: WorkItem) -> Row:
     """One method on one scene, judged. The row's `timing` alone differs from run to run.
 
     task: method, split, number, scene, resolution, policy_resolution, lead_out, seed, transfer.
@@ -128,7 +140,7 @@ def compete(task: Task) -> Row:
     return row
 
 
-def _planned(method: Method, scene: Scene, task: Task) -> HandedIn:
+def _planned(method: Method, scene: Scene, task: WorkItem) -> HandedIn:
     start = time.perf_counter()
     try:
         best = plan(scene, method.name, task["resolution"], workers=1)
@@ -141,18 +153,12 @@ def _planned(method: Method, scene: Scene, task: Task) -> HandedIn:
     return HandedIn(best.grasp, best.path, "", spent, time.perf_counter() - start)
 
 
-def acting(method: Method, task: Task) -> Acting:
-    """The policy that plays. Raises PolicyError."""
-    if method.kind == "policy":
-        policy: Policy = load_policy(method.folder)
-        return policy
-    if method.kind == "nothing":
-        return lambda _: np.zeros(3, np.float32)
-    rng = np.random.default_rng([task["seed"], task["number"]])
-    return lambda _: rng.uniform(-1, 1, 3).astype(np.float32)
+def acting(method: Method, task: WorkItem) -> Decide:
+    """Who plays. Raises PolicyError."""
+    return load_policy(method.folder) if method.kind == "policy" else UNTRAINED[method.kind](task)
 
 
-def _played(method: Method, scene: Scene, task: Task) -> HandedIn:
+def _played(method: Method, scene: Scene, task: WorkItem) -> HandedIn:
     """What the jaws did, and a few moves more like the last where the coarser mesh of the environment saw the
     target: the certifier stops at visibility."""
     start = time.perf_counter()

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from baselines.benchmark.charts import curve_chart, profile_chart, share_chart
-from baselines.benchmark.scores import FAILURES, Interval, Summary, scores_by_method, summaries
+from baselines.benchmark.scores import FAILURES, Interval, Summary, best_known, scores_by_method, summaries
 from baselines.benchmark.tasks import numbers
 from baselines.jobs.files import written_whole
 from baselines.jobs.journal import Row
@@ -41,13 +41,15 @@ def write_report(
     resolution: str,
     command: str,
     curves: Curves,
+    known: Mapping[str, float],
     seed: int,
     bootstrap: int,
 ) -> list[Path]:
-    """Write all files, or none; returns their paths. rows: of all splits; seed, bootstrap: of the intervals.
-    Raises OSError."""
+    """Write all files, or none; returns their paths. rows: of all splits; known: strains that were certified
+    before, by the scene's hash; seed, bootstrap: of the intervals. Raises OSError."""
+    best = best_known(rows, known)
     splits = {s: [row for row in rows if row["split"] == s] for s in dict.fromkeys(r["split"] for r in rows)}
-    found = {split: summaries(of, seed, bootstrap) for split, of in splits.items()}
+    found = {split: summaries(of, best, seed, bootstrap) for split, of in splits.items()}
     charts: dict[str, tuple[str, bytes]] = {}
     for split, of in splits.items():
         charts[f"{NAME}-{split}-outcomes.png"] = (
@@ -56,7 +58,7 @@ def write_report(
         )
         charts[f"{NAME}-{split}-profiles.png"] = (
             f"How near each method comes to the least strain known, on the split {split}",
-            profile_chart(scores_by_method(of)),
+            profile_chart(scores_by_method(of, best)),
         )
     if curves:
         title = "Training, judged on the validation split: every seed"
@@ -81,7 +83,7 @@ def table_of(summary: Sequence[Summary]) -> tuple[list[str], list[list[str]]]:
         "certified": [_interval(s.certified, percent=True) for s in summary],
         "of ctc's": [_percent(s.of_reference) for s in summary],
         "failures": [_failures(s) for s in summary],
-        "score": [_interval(s.score) for s in summary],
+        "score": ["" if math.isnan(s.score.value) else _interval(s.score) for s in summary],
         "excess": [_percent(s.excess) for s in summary],
         "friction margin": [_percent(s.friction_margin) for s in summary],
         "clearance, mm": [_number(s.clearance * 1e3, 2) for s in summary],

@@ -1,13 +1,13 @@
 """What rows of the benchmark say of each method: shares, margins, and interquartile means with intervals.
 
-The score of a method on a scene is the least certified strain that any method reached there over its own,
-so 1 for the best and 0 where it is not certified. Interquartile means over scenes and training seeds, and
+The score of a method on a scene is the least certified strain known there over its own, so 1 for the best
+and 0 where it is not certified. Interquartile means over scenes and training seeds, and
 their 95 % bootstrap intervals, are rliable's (Agarwal et al., NeurIPS 2021).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 FAILURES = tuple(reason for reason in REASONS if reason != "ok")
 REFERENCE = "ctc"
-"""The paper's planner: what it certifies is what others are asked to."""
+"""The paper's planner; the scenes where it certifies a retraction are those that others should solve too."""
 
 
 @dataclass(frozen=True)
@@ -47,9 +47,9 @@ class Summary:
     failures: dict[str, float]
     """share of each failure"""
     score: Interval
-    """interquartile mean"""
+    """interquartile mean; nan where no best strain is known"""
     excess: float
-    """median of strain over the best known one, less 1, where certified; nan where never"""
+    """median of strain over the best known one, less 1, where certified; nan where never, or none is known"""
     friction_margin: float
     """median part of the friction limit that is left, where certified"""
     clearance: float
@@ -64,34 +64,40 @@ class Summary:
     """share of scenes where the policy succeeds on Bullet, nan where not asked"""
 
 
-def summaries(rows: Sequence[Row], seed: int, bootstrap: int) -> list[Summary]:
-    """One for each method, most certified first, then by score. The rows are those of one split."""
-    best, table = best_known(rows), _tables(rows)
+def summaries(
+    rows: Sequence[Row], best: Mapping[str, float] | None, seed: int, bootstrap: int
+) -> list[Summary]:
+    """One for each method, most certified first, then by score. The rows are those of one split.
+
+    best: strain to compare with, by the scene's hash; None where there is none for some scene: then there
+    are no scores. seed, bootstrap: of the intervals.
+    """
+    table = _tables(rows)
     reference = {row["number"] for row in rows if row["method"] == REFERENCE and row["certified"]}
     certified = intervals({n: _values(t, _certified) for n, t in table.items()}, np.mean, seed, bootstrap)
-    scores = {n: _values(t, lambda row: score(row, best)) for n, t in table.items()}
-    middle = intervals(scores, interquartile_mean, seed, bootstrap)
+    middle = dict.fromkeys(table, Interval(np.nan, np.nan, np.nan))
+    if best is not None:
+        middle = intervals(scores_by_method(rows, best), interquartile_mean, seed, bootstrap)
     found = [_summary(name, table[name], certified[name], middle[name], best, reference) for name in table]
     return sorted(found, key=lambda s: (-s.certified.value, -s.score.value, s.method))
 
 
-def best_known(rows: Sequence[Row]) -> dict[int, float]:
-    """Least certified strain of each scene that any method certifies."""
-    best: dict[int, float] = {}
+def best_known(rows: Sequence[Row], known: Mapping[str, float]) -> dict[str, float]:
+    """Least certified strain of each scene, by its hash: of these rows and of what was known before."""
+    best = dict(known)
     for row in rows:
         if row["certified"]:
-            best[row["number"]] = min(best.get(row["number"], np.inf), row["max_strain"])
+            best[row["scene_hash"]] = min(best.get(row["scene_hash"], np.inf), row["max_strain"])
     return best
 
 
-def score(row: Row, best: dict[int, float]) -> float:
+def score(row: Row, best: Mapping[str, float]) -> float:
     """Best known strain over the row's own; 0 where it is not certified."""
-    return best[row["number"]] / row["max_strain"] if row["certified"] else 0.0
+    return best[row["scene_hash"]] / row["max_strain"] if row["certified"] else 0.0
 
 
-def scores_by_method(rows: Sequence[Row]) -> dict[str, Array]:
+def scores_by_method(rows: Sequence[Row], best: Mapping[str, float]) -> dict[str, Array]:
     """(runs, scenes) scores of each method, over the scenes that it was judged on."""
-    best = best_known(rows)
     return {name: _values(table, lambda row: score(row, best)) for name, table in _tables(rows).items()}
 
 
@@ -143,7 +149,7 @@ def _summary(
     matrix: list[list[Row]],
     certified: Interval,
     middle: Interval,
-    best: dict[int, float],
+    best: Mapping[str, float] | None,
     reference: set[int],
 ) -> Summary:
     rows = [row for run in matrix for row in run]
@@ -167,7 +173,7 @@ def _summary(
         of_reference=share([row for row in asked if row["certified"]], asked),
         failures={f: share([row for row in rows if row["reason"] == f], rows) for f in FAILURES},
         score=middle,
-        excess=median([row["max_strain"] / best[row["number"]] - 1 for row in good]),
+        excess=np.nan if best is None else median([1 / score(row, best) - 1 for row in good]),
         friction_margin=median([1 - row["required_friction"] / row["friction_limit"] for row in good]),
         clearance=median([row["clearance"] for row in good]),
         evaluations=float(np.mean([row["evaluations"] for row in rows])),

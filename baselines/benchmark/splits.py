@@ -1,19 +1,16 @@
-"""The benchmark's frozen scenes: splits drawn from seeds, held to the hash that the configuration states."""
+"""The benchmark's frozen scenes: splits drawn from seeds and checked against the hashes in the
+configuration."""
 
 from __future__ import annotations
 
 import hashlib
-import math
-from collections.abc import Mapping
-from dataclasses import fields
 from os import PathLike
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
-from pydantic import BeforeValidator, Field
+from pydantic import Field
 
-from baselines.learning.recipe import whole
-from retract_env.config import Frozen, Listed, brief, config_file, read_yaml, refusal
+from retract_env.config import Frozen, Listed, config_file, read_yaml, whole
 from retract_env.errors import ConfigError
 from retract_env.scene import Scene, sample_scene
 from retract_env.scene.sampling import SceneRanges
@@ -29,27 +26,14 @@ class _Part(Frozen):
     error_type: ClassVar[type[ConfigError]] = BenchmarkError
 
 
-def _ranges(value: Any) -> dict[str, tuple[float, float]]:
-    known = [f.name for f in fields(SceneRanges)]
-    if not isinstance(value, Mapping):
-        raise refusal(f" = {brief(value)}, not a mapping; known keys: {', '.join(known)}")
-    for name, ends in value.items():
-        if name not in known:
-            raise refusal(f".{name}: unknown key; known keys: {', '.join(known)}")
-        numbers = isinstance(ends, list | tuple) and all(isinstance(e, int | float) for e in ends)
-        if not numbers or len(ends) != 2 or not 0 <= ends[0] <= ends[1] < math.inf:
-            raise refusal(f".{name} = {brief(ends)}, allowed [least, greatest] from 0 upwards")
-    return {str(name): (ends[0], ends[1]) for name, ends in value.items()}
-
-
 class Split(_Part):
     """Scenes number 0 ... count - 1, each from the seeds [seed, number]."""
 
     seed: Annotated[int, whole(2, 2**31)]
     """Not 1: demonstrations begin with that."""
     count: Annotated[int, whole(1, 100_000)]
-    ranges: Annotated[dict[str, tuple[float, float]], BeforeValidator(_ranges)] = Field(default_factory=dict)
-    """Where scenes are drawn from, as `SceneRanges` has them; what is left out is its default."""
+    ranges: SceneRanges = SceneRanges()
+    """Where scenes are drawn from; what is left out is its default."""
     hash: Annotated[str, Field(pattern="^[0-9a-f]{16}$")]
     """Of all scenes, so that a change of them is noticed."""
     slow: Annotated[int, whole(0, 100_000)] = 0
@@ -57,10 +41,8 @@ class Split(_Part):
 
     def scenes(self, most: int | None = None) -> list[Scene]:
         """The first `most` scenes, or all, then held to the hash. Raises BenchmarkError."""
-        known: dict[str, Any] = dict(self.ranges)
-        ranges = SceneRanges(**known)
         count = self.count if most is None else min(most, self.count)
-        scenes = [sample_scene(np.random.default_rng([self.seed, k]), ranges) for k in range(count)]
+        scenes = [sample_scene(np.random.default_rng([self.seed, k]), self.ranges) for k in range(count)]
         if count == self.count and (found := hash_of(scenes)) != self.hash:
             raise BenchmarkError(
                 f"hash = {self.hash!r}, but these scenes have {found!r}: they are not those that results "

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from baselines.benchmark.methods import Method
+from baselines.benchmark.methods import UNTRAINED, Method
 from baselines.benchmark.splits import Benchmark, BenchmarkError
 from baselines.jobs.journal import Row
 from baselines.jobs.version import code_version
@@ -18,7 +18,7 @@ TRANSFERRED = ("policy",)
 
 
 def methods_of(benchmark: Benchmark, policies: Path | None) -> list[Method]:
-    """All planners of the benchmark, every policy under a folder, a random policy, doing nothing.
+    """All planners of the benchmark, every policy under a folder, and what plays without having learned.
 
     Raises BenchmarkError, and PolicyError for a folder that holds no sound policy.
     """
@@ -42,7 +42,16 @@ def methods_of(benchmark: Benchmark, policies: Path | None) -> list[Method]:
                     f"{method.folder} and {other}: both are {method.name}, seed {method.run}"
                 )
         found += sorted(trained, key=lambda m: (m.name, m.run))
-    return [*found, Method("random", "random"), Method("nothing", "nothing")]
+    return [*found, *(Method(kind, kind) for kind in UNTRAINED)]
+
+
+def chosen(methods: Sequence[Method], names: Sequence[str] | None) -> list[Method]:
+    """The methods of these names, or all. Raises BenchmarkError for a name that none has."""
+    known = list(dict.fromkeys(method.name for method in methods))
+    for name in names or ():
+        if name not in known:
+            raise BenchmarkError(f"method = {name!r}, allowed {', '.join(known)}")
+    return [method for method in methods if not names or method.name in names]
 
 
 def tasks_of(

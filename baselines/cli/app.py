@@ -11,11 +11,14 @@ from typing import Annotated
 
 import typer
 
+from baselines.cli.benchmark import benchmark_command
 from baselines.cli.certify import certify_command
 from baselines.cli.console import tell_error
-from baselines.cli.learning import commands as learning_commands
+from baselines.cli.demos import demos_command
+from baselines.cli.evaluate import evaluate_command
 from baselines.cli.plan import plan_command
 from baselines.cli.reproduce import reproduce_command
+from baselines.cli.train import train_command
 
 app = typer.Typer(
     help="Plan surgical tissue retractions and certify them with finite elements.",
@@ -26,7 +29,10 @@ app = typer.Typer(
 app.command("plan")(plan_command)
 app.command("certify")(certify_command)
 app.command("reproduce")(reproduce_command)
-app.add_typer(learning_commands)
+app.command("demos")(demos_command)
+app.command("train")(train_command)
+app.command("evaluate")(evaluate_command)
+app.command("benchmark")(benchmark_command)
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -24,6 +24,10 @@ class NotCertified(Exception):
     """The work was done and nothing is certified; the message says why. Exit 1."""
 
 
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C during work that can be gone on with; the message says how, or is empty. Exit 130."""
+
+
 def check_no_folder(file: Path) -> None:
     if file.is_dir():
         raise BadInput(f"{file}: is a folder")
@@ -52,11 +56,14 @@ TOLD_EVERY = 5.0
 """s between two lines about it, where there is no terminal to draw a bar in."""
 
 
-def announce_compilation() -> None:
-    """Have the kernels compiled if they never were, and show it: it takes long enough that a user wonders."""
+def announce_compilation(physics: str = "fem") -> None:
+    """Have the kernels compiled if they never were, and show it: it takes long enough that a user wonders.
+
+    physics: what the command computes with; it needs kernels of its own.
+    """
     import retract_env.fem
 
-    if retract_env.fem.kernels_are_cached():
+    if retract_env.fem.kernels_are_cached(physics):
         return
     from numba.core.event import install_recorder
     from rich.console import Console
@@ -123,6 +130,7 @@ def exit_codes() -> Iterator[None]:
     except NotCertified as verdict:
         typer.echo(str(verdict))
         raise typer.Exit(1) from None
-    except KeyboardInterrupt:
-        typer.echo("interrupted", err=True)
+    except KeyboardInterrupt as stop:
+        how = str(stop) if isinstance(stop, Interrupted) else ""
+        typer.echo("interrupted" + (f"; {how}" if how else ""), err=True)
         raise typer.Exit(130) from None

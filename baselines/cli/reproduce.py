@@ -10,10 +10,11 @@ import typer
 
 from baselines.cli.console import RESULTS, BadInput, announce_compilation, exit_codes, usable_folder
 from baselines.cli.verdict import ResolutionOption
+from baselines.paper.studies import STUDIES
 
 
 def reproduce_command(
-    name: Annotated[str, typer.Argument(help="fig7, fig8, fig9, fig11, fig12, pruning, light_grip, or all.")],
+    name: Annotated[str, typer.Argument(help=f"{', '.join(STUDIES)}, or all.")],
     out: Annotated[Path, typer.Option(help="Folder for tables, pictures and texts.")] = RESULTS,
     workers: Annotated[
         int | None, typer.Option(min=1, help="Processes; as many as cores if not given.")

@@ -23,9 +23,10 @@ from typing import Any
 from retract_env.errors import ConfigError
 from retract_env.threads import single_threaded
 
-Task = Mapping[str, Any]
+WorkItem = Mapping[str, Any]
+"""One piece of work: all that its result depends on, as plain JSON data."""
 Row = dict[str, Any]
-Work = Callable[[Task], Row]
+Work = Callable[[WorkItem], Row]
 OnRow = Callable[[Row], None]
 
 TRIES = 3
@@ -36,7 +37,7 @@ class JournalError(ConfigError):
     """A journal that cannot be gone on with, or a task that kills its workers; the message is one line."""
 
 
-def key_of(task: Task) -> str:
+def key_of(task: WorkItem) -> str:
     """SHA-256, hex, of a task."""
     return hashlib.sha256(json.dumps(task, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
@@ -72,7 +73,7 @@ class Journal:
 
 
 def run_tasks(
-    tasks: Sequence[Task],
+    tasks: Sequence[WorkItem],
     work: Work,
     journal: Path | None,
     jobs: int = 1,
@@ -94,12 +95,12 @@ def run_tasks(
     return [kept.rows[key_of(task)] for task in tasks]
 
 
-def _here(tasks: Mapping[str, Task], work: Work, _: int) -> Iterator[tuple[str, Row]]:
+def _here(tasks: Mapping[str, WorkItem], work: Work, _: int) -> Iterator[tuple[str, Row]]:
     for key, task in tasks.items():
         yield key, work(task)
 
 
-def _in_processes(tasks: Mapping[str, Task], work: Work, jobs: int) -> Iterator[tuple[str, Row]]:
+def _in_processes(tasks: Mapping[str, WorkItem], work: Work, jobs: int) -> Iterator[tuple[str, Row]]:
     """Fresh processes; when one dies, all are replaced and what was under way is done again."""
     waiting, tries = dict(tasks), dict.fromkeys(tasks, 0)
     while waiting:
@@ -147,7 +148,7 @@ def _end_with_parent() -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-def _on_ray(tasks: Mapping[str, Task], work: Work, _: int) -> Iterator[tuple[str, Row]]:
+def _on_ray(tasks: Mapping[str, WorkItem], work: Work, _: int) -> Iterator[tuple[str, Row]]:
     try:
         import ray
     except ImportError:

@@ -9,14 +9,18 @@ from pathlib import Path
 import retract_env
 
 PACKAGES = ("retract_env", "planners", "baselines")
-NO_RESULTS = ("retract_env/drawing", "baselines/pictures", "baselines/cli")
+NO_RESULTS = ("retract_env/drawing/", "baselines/pictures/", "baselines/cli/")
 """Folders of what draws and talks: no number depends on them."""
 
 
 @cache
 def code_version() -> str:
     """The version, and a digest of all sources that results come from."""
-    root = Path(retract_env.__file__).parents[1]
+    return f"{retract_env.__version__}+{digest_of(Path(retract_env.__file__).parents[1])[:12]}"
+
+
+def digest_of(root: Path) -> str:
+    """SHA-256, hex, of the names and contents of those sources, in packages that lie in the folder `root`."""
     digest = hashlib.sha256()
     for package in PACKAGES:
         for source in sorted((root / package).rglob("*.py")):
@@ -24,4 +28,4 @@ def code_version() -> str:
             if not name.startswith(NO_RESULTS):
                 digest.update(f"{name}\0".encode())
                 digest.update(source.read_bytes())
-    return f"{retract_env.__version__}+{digest.hexdigest()[:12]}"
+    return digest.hexdigest()

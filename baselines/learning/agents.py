@@ -1,4 +1,4 @@
-"""Stable-Baselines3's algorithms as recipes name them: built, exported, begun from a policy, saved, restored.
+"""A model of Stable-Baselines3 in its environments: begun from a policy, exported, saved, restored.
 
 What is saved are tensors, numbers and texts. An agent learns in legs. Each begins with environments and
 generators seeded from the run's seed and the steps done, so that a run that was killed and resumed takes the
@@ -9,45 +9,55 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import torch
-from sb3_contrib import TQC as SB3TQC
-from stable_baselines3 import PPO as SB3PPO
-from stable_baselines3 import SAC as SB3SAC
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure
-from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import VecNormalize
 
-from baselines.learning.envs import IDS, arguments, seed_of
+from baselines.learning.envs import arguments, seed_of
+from baselines.learning.fields import RecipeError
 from baselines.learning.policies import Policy
-from baselines.learning.recipe import BC, PPO, SAC, TQC, Recipe, RecipeError
+from planners.certify import REASONS
+from retract_env.physics.registry import PHYSICS
 from retract_env.threads import limit_torch
+
+if TYPE_CHECKING:
+    from baselines.learning.algorithms import Learner
+    from baselines.learning.recipe import Recipe
 
 State = dict[str, Any]
 OnStep = Callable[[int], None]
 
 ACTIVATIONS = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}
-BUFFER = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+FAILURES = tuple(reason for reason in REASONS if reason != "ok")
+"""What may become of an episode that does not succeed."""
 
 
 class Agent:
     """A model in its environments, and the steps that it has learned for."""
 
-    def __init__(self, recipe: Recipe, envs: VecNormalize, seed: int, log: Path | None = None):
-        """log: folder for TensorBoard. Raises RecipeError."""
+    def __init__(self, recipe: Recipe, envs: VecNormalize, seed: int):
         self.recipe, self.envs, self.seed = recipe, envs, seed
+        self.learner: Learner = recipe.learner
         self.stats = cast(RunningMeanStd, envs.obs_rms)  # of one vector, not of a dictionary
         self.started = ""
         """name of the policy that this one began from, if it did"""
         limit_torch(torch)
-        self.model: Any = build(recipe, envs, seed_of(seed))
-        # what goes to standard output is the progress bar's
-        self.model.set_logger(configure(None if log is None else str(log), ["tensorboard"] if log else []))
+        shape = {
+            "net_arch": list(recipe.network.sizes),
+            "activation_fn": ACTIVATIONS[recipe.network.activation],
+        }
+        self.model: Any = self.learner.build(envs, shape, seed_of(seed))
+        self.model.set_logger(configure(None, []))  # what goes to standard output is the progress bar's
+
+    def log_to(self, folder: Path) -> None:
+        """Write TensorBoard's logs into a folder, which is made. Raises OSError."""
+        self.model.set_logger(configure(str(folder), ["tensorboard"]))
 
     @property
     def steps(self) -> int:
@@ -60,7 +70,7 @@ class Agent:
         self.model.action_space.seed(seed)
         self.envs.seed(seed)
         self.model._last_obs = None  # so that the environments are reset
-        callback = _Watch(on_step, getattr(self.recipe.learner, "critic_first", 0))
+        callback = _Watch(on_step, self.learner)
         self.model.learn(steps, callback, log_interval=4, reset_num_timesteps=False)
 
     def record(self, values: Mapping[str, float]) -> None:
@@ -71,7 +81,7 @@ class Agent:
 
     def policy(self) -> Policy:
         """What has been learned, its actions without noise."""
-        layers = self._layers()
+        layers = self.layers()
         stats, floor = self.stats, self.recipe.observation.floor
         return Policy(
             name=f"{self.started}+{self.recipe.algorithm}" if self.started else self.recipe.algorithm,
@@ -81,8 +91,8 @@ class Agent:
             deviation=np.sqrt(stats.var + floor**2).astype(np.float32),
             clip=self.recipe.observation.clip,
             activation=self.recipe.network.activation,
-            output=self._output,
-            env={"id": IDS[self.recipe.task.physics], "kwargs": arguments(self.recipe.task)},
+            output=self.learner.actor.output,
+            env={"id": PHYSICS[self.recipe.task.physics].env_id, "kwargs": arguments(self.recipe.task)},
         )
 
     def begin_from(self, policy: Policy) -> None:
@@ -90,8 +100,9 @@ class Agent:
 
         Raises RecipeError where the recipe's network is another one.
         """
-        layers = self._layers()
-        ours = ([tuple(layer.weight.shape) for layer in layers], self.recipe.network.activation, self._output)
+        layers = self.layers()
+        shapes = [tuple(layer.weight.shape) for layer in layers]
+        ours = (shapes, self.recipe.network.activation, self.learner.actor.output)
         if (theirs := ([w.shape for w in policy.weights], policy.activation, policy.output)) != ours:
             raise RecipeError(f"network: layers, activation and output {ours}, those to start from {theirs}")
         with torch.no_grad():
@@ -103,12 +114,8 @@ class Agent:
         self._start(policy.name)
 
     def _start(self, name: str) -> None:
-        """From now on the actions of the warm-up are the policy's, not random ones."""
         self.started = name
-        if isinstance(self.model, OffPolicyAlgorithm):
-            model: Any = self.model
-            choose = model._sample_action
-            model._sample_action = lambda _, noise=None, count=1: choose(0, noise, count)
+        self.learner.act_from_start(self.model)
 
     def normalise(self, mean: Any, variance: Any) -> None:
         """Fix what observations are normalised with."""
@@ -119,7 +126,7 @@ class Agent:
     def state(self) -> State:
         """All that the next leg depends on: tensors, numbers and texts."""
         stats = self.stats
-        state: State = {
+        return {
             "steps": self.steps,
             "started": self.started,
             "updates": int(self.model._n_updates),
@@ -133,14 +140,8 @@ class Agent:
                 "count": float(stats.count),
                 "fixed": not self.envs.training,
             },
+            **self.learner.memory(self.model),
         }
-        if isinstance(self.model, OffPolicyAlgorithm):
-            buffer = self.model.replay_buffer
-            assert buffer is not None
-            filled = buffer.buffer_size if buffer.full else buffer.pos
-            state["replay"] = {name: torch.from_numpy(getattr(buffer, name)[:filled]) for name in BUFFER}
-            state["replay_at"] = [int(buffer.pos), bool(buffer.full)]
-        return state
 
     def restore(self, state: State) -> None:
         """The inverse of `state`. Raises KeyError, ValueError or RuntimeError for another agent's."""
@@ -155,98 +156,41 @@ class Agent:
         self.stats.var = kept["variance"].numpy().copy()
         self.stats.count = kept["count"]
         self.envs.training = not kept["fixed"]
-        if isinstance(self.model, OffPolicyAlgorithm):
-            buffer = self.model.replay_buffer
-            assert buffer is not None
-            for name, value in state["replay"].items():
-                getattr(buffer, name)[: len(value)] = value.numpy()
-            buffer.pos, buffer.full = state["replay_at"]
+        self.learner.remember(self.model, state)
 
-    def _layers(self) -> list[torch.nn.Linear]:
+    def layers(self) -> list[torch.nn.Linear]:
         """The policy's linear layers from observation to action."""
-        net: Any = self.model.policy
-        if isinstance(self.model, OffPolicyAlgorithm):
-            parts = [net.actor.latent_pi, net.actor.mu]
-        else:
-            parts = [net.mlp_extractor.policy_net, net.action_net]
-        return [m for part in parts for m in part.modules() if isinstance(m, torch.nn.Linear)]
-
-    @property
-    def _output(self) -> Literal["clip", "tanh"]:
-        return "tanh" if isinstance(self.model, OffPolicyAlgorithm) else "clip"
+        return self.learner.actor.layers(self.model)
 
 
 class _Watch(BaseCallback):
-    """Tells of progress, and keeps the actor as it is while the critic alone is to learn."""
+    """Tells of progress, logs what becomes of episodes, and keeps the actor as it is while the critic alone
+    is to learn."""
 
-    def __init__(self, on_step: OnStep, critic_first: int):
+    def __init__(self, on_step: OnStep, learner: Learner):
         super().__init__()
-        self._tell, self._critic_first = on_step, critic_first
+        self._tell, self._learner = on_step, learner
+        self._critic_first: int = getattr(learner, "critic_first", 0)
+        self._terms: dict[int, dict[str, float]] = {}
+        """reward terms of the episodes under way, summed, by environment"""
 
     def _on_rollout_start(self) -> None:
-        learns = self.num_timesteps >= self._critic_first
-        policy: Any = self.model.policy
-        actor = (
-            policy.actor if isinstance(self.model, OffPolicyAlgorithm) else policy.mlp_extractor.policy_net
-        )
-        heads = [] if isinstance(self.model, OffPolicyAlgorithm) else [policy.action_net]
-        for part in (actor, *heads):
-            part.requires_grad_(learns)
-        if not isinstance(self.model, OffPolicyAlgorithm):
-            policy.log_std.requires_grad_(learns)
+        self._learner.let_actor_learn(self.model, self.num_timesteps >= self._critic_first)
 
     def _on_step(self) -> bool:
+        for place, (info, done) in enumerate(zip(self.locals["infos"], self.locals["dones"], strict=True)):
+            terms = self._terms.setdefault(place, {})
+            for name, value in info["reward_terms"].items():
+                terms[name] = terms.get(name, 0.0) + value
+            if done:
+                self._log(info, self._terms.pop(place))
         self._tell(self.num_timesteps)
         return True
 
-
-def build(recipe: Recipe, envs: VecNormalize, seed: int) -> Any:
-    """The model that a recipe describes, untrained. Raises RecipeError."""
-    how, network = recipe.learner, recipe.network
-    sizes = list(network.sizes)
-    shape: dict[str, Any] = {"net_arch": sizes, "activation_fn": ACTIVATIONS[network.activation]}
-    common: dict[str, Any] = {"seed": seed, "device": "cpu"}
-    if isinstance(how, BC):
-        kind: Any = {"ppo": SB3PPO, "sac": SB3SAC, "tqc": SB3TQC}[how.policy]
-        few = {} if how.policy == "ppo" else {"buffer_size": 1}
-        return kind("MlpPolicy", envs, policy_kwargs=shape, **few, **common)
-    if isinstance(how, PPO):
-        return SB3PPO(
-            "MlpPolicy",
-            envs,
-            learning_rate=how.learning_rate,
-            n_steps=how.rollout,
-            batch_size=how.batch_size,
-            n_epochs=how.epochs,
-            gamma=how.gamma,
-            gae_lambda=how.gae_lambda,
-            clip_range=how.clip_range,
-            ent_coef=how.entropy_weight,
-            vf_coef=how.value_weight,
-            max_grad_norm=how.max_gradient,
-            target_kl=how.target_kl,
-            policy_kwargs={**shape, "log_std_init": how.log_std},
-            **common,
-        )
-    assert isinstance(how, SAC)
-    options: dict[str, Any] = {
-        "learning_rate": how.learning_rate,
-        "buffer_size": how.buffer,
-        "learning_starts": how.warmup,
-        "batch_size": how.batch_size,
-        "tau": how.tau,
-        "gamma": how.gamma,
-        "train_freq": how.train_every,
-        "gradient_steps": how.updates,
-        "ent_coef": how.entropy_weight,
-        "target_entropy": how.target_entropy,
-    }
-    algorithm: Any = SB3SAC
-    if isinstance(how, TQC):
-        algorithm = SB3TQC
-        options["top_quantiles_to_drop_per_net"] = how.dropped
-        shape |= {"n_quantiles": how.quantiles, "n_critics": how.critics}
-    model = algorithm("MlpPolicy", envs, policy_kwargs=shape, **options, **common)
-    with torch.no_grad():
-        model.actor.log_std.bias.fill_(how.log_std)
-    return model
+    def _log(self, info: Mapping[str, Any], terms: Mapping[str, float]) -> None:
+        """Means over the episodes since the last line of the log."""
+        failure = "" if info["is_success"] else info["failure"] or "not_visible"
+        for reason in FAILURES:
+            self.logger.record_mean(f"failures/{reason}", float(failure == reason))
+        for name, value in terms.items():
+            self.logger.record_mean(f"rewards/{name}", value)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -12,8 +12,11 @@ from stable_baselines3.common.vec_env import VecNormalize
 from baselines.learning.agents import Agent, OnStep, State
 from baselines.learning.demos import Demos
 from baselines.learning.envs import seed_of
-from baselines.learning.recipe import BC, Recipe
 from retract_env.task import SLICES, STIFFNESS_SAMPLES
+
+if TYPE_CHECKING:
+    from baselines.learning.algorithms.bc import BC
+    from baselines.learning.recipe import Recipe
 
 TOLD = 200
 """Gradient steps between words of progress."""
@@ -22,10 +25,10 @@ TOLD = 200
 class Cloner(Agent):
     """An agent whose steps are gradient steps on demonstrations; its environments only judge it."""
 
-    def __init__(self, recipe: Recipe, envs: VecNormalize, seed: int, demos: Demos, log: Path | None = None):
-        super().__init__(recipe, envs, seed, log)
-        assert isinstance(recipe.learner, BC)
-        self.how: BC = recipe.learner
+    def __init__(self, recipe: Recipe, how: BC, envs: VecNormalize, seed: int, demos: Demos):
+        """how: the recipe's learner."""
+        super().__init__(recipe, envs, seed)
+        self.how = how
         seen = demos.observations
         self.normalise(seen.mean(axis=0, dtype=np.float64), seen.var(axis=0, dtype=np.float64))
         floor, clip = recipe.observation.floor, recipe.observation.clip
@@ -36,7 +39,7 @@ class Cloner(Agent):
         choosing = torch.from_numpy(seen[:, SLICES["holding"]] == 0)
         # the third number of a grasp has no meaning
         self._weights = torch.where(choosing, torch.tensor([1.0, 1.0, 0.0]) * self.how.grasp_weight, 1.0)
-        parameters = [p for layer in self._layers() for p in layer.parameters()]
+        parameters = [p for layer in self.layers() for p in layer.parameters()]
         self.optimizer = torch.optim.AdamW(
             parameters, self.how.learning_rate, weight_decay=self.how.weight_decay
         )
@@ -77,10 +80,10 @@ class Cloner(Agent):
 
     def _mean_action(self, inputs: torch.Tensor) -> torch.Tensor:
         """(n, 3), as `Policy` computes it, but not clipped: beyond the limits there is no gradient."""
-        layers = self._layers()
+        layers = self.layers()
         squash = torch.tanh if self.recipe.network.activation == "tanh" else torch.relu
         x = inputs
         for layer in layers[:-1]:
             x = squash(layer(x))
         x = layers[-1](x)
-        return torch.tanh(x) if self._output == "tanh" else x
+        return torch.tanh(x) if self.learner.actor.output == "tanh" else x

@@ -1,7 +1,8 @@
 """Demonstrations: certified plans played through the environment, kept as a Minari data set.
 
-Scenes are drawn from seeds. Of each episode the data set keeps the seed, the scene's hash and the plan's
-certificate; of the whole, the command that made it and the seeds for which nothing was certified.
+Scenes are drawn from seeds. Of each episode the data set keeps the seed that the environment begins it from,
+the scene's hash, the plan's certificate and what the environment said besides; of the whole, the command that
+made it and the numbers of the scenes for which nothing was certified.
 """
 
 from __future__ import annotations
@@ -18,16 +19,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 import retract_env
-from baselines.jobs.journal import Row, Task
+from baselines.jobs.journal import Row, WorkItem
 from retract_env.errors import ConfigError
+from retract_env.physics.registry import PHYSICS
 from retract_env.rollout import PathPolicy, Rollout, rollout
 from retract_env.scene import Scene, sample_scene
 
 Floats = NDArray[np.float32]
 
 SEED = 1
-"""What all seeds of demonstrated scenes begin with, so that no split of the benchmark shares a scene."""
-ENV = "TissueRetractFEM-v0"
+"""First number of every demonstrated scene's seed; the benchmark's splits have others, so no scene is in
+both."""
+UNSAID = ("failure",)
+"""What is not kept of the environment's `info`: no demonstration fails."""
+ENV = PHYSICS["fem"].env_id
 KWARGS: dict[str, Any] = {"scene": "random", "grasp": "agent"}
 """The environment that the data set names."""
 
@@ -36,16 +41,25 @@ class DemosError(ConfigError):
     """A data set that cannot be made or used; the message is one line."""
 
 
-def demo_scene(seed: int) -> Scene:
-    """The scene that a demonstration's seed names."""
-    return sample_scene(np.random.default_rng([SEED, seed]))
+def episode_seed(number: int) -> int:
+    """What the environment is reset with to begin demonstration `number`.
+
+    NumPy reads an integer as its 32-bit words, the lowest first: these are SEED and the number, just as a
+    split's scene has its own seed and its number.
+    """
+    return SEED + (number << 32)
 
 
-def demonstrate(task: Task) -> Row:
+def demo_scene(number: int) -> Scene:
+    """The scene of demonstration `number`, which the environment draws for itself from `episode_seed`."""
+    return sample_scene(np.random.default_rng(episode_seed(number)))
+
+
+def demonstrate(task: WorkItem) -> Row:
     """Plan, certify and play one scene; work for `run_tasks`.
 
-    task: planner, resolution of its certificate, seed. The row has the certificate, None where none is
-    certified, and the episode, None where the environment did not succeed too.
+    task: planner, resolution of its certificate, seed (the scene's number). The row has the certificate, None
+    where none is certified, and the episode, None where the environment did not succeed too.
     """
     from planners import NoPlan, plan
 
@@ -58,7 +72,7 @@ def demonstrate(task: Task) -> Row:
     # the history can be made again; without it the certificate fits into a data set's attributes
     row["certificate"] = {k: v for k, v in best.certificate.to_json().items() if k != "history"}
     env = gym.make(ENV, disable_env_checker=True, **KWARGS).unwrapped
-    played = rollout(env, PathPolicy.of(best), seed=task["seed"], options={"scene": scene.dump()})
+    played = rollout(env, PathPolicy.of(best), seed=episode_seed(task["seed"]))
     env.close()
     if not played.success:
         return row | {"failure": f"environment: {played.infos[-1]['failure'] or 'not_visible'}"}
@@ -70,6 +84,9 @@ def _packed(played: Rollout) -> dict[str, Any]:
         "observations": base64.b64encode(played.observations.astype(np.float32).tobytes()).decode(),
         "actions": base64.b64encode(played.actions.astype(np.float32).tobytes()).decode(),
         "rewards": played.rewards.tolist(),
+        "infos": {
+            name: [info[name] for info in played.infos] for name in played.infos[0] if name not in UNSAID
+        },
     }
 
 
@@ -85,7 +102,7 @@ def check_free(name: str) -> None:
         raise DemosError(f"dataset {name}: there is one already, in {path}")
 
 
-def write_dataset(name: str, rows: Sequence[Row], task: Task, command: str) -> int:
+def write_dataset(name: str, rows: Sequence[Row], task: WorkItem, command: str) -> int:
     """Make the Minari data set `name` from rows of `demonstrate`; returns how many episodes it has.
 
     Raises DemosError where there are none, where the name is not one of Minari's, or is taken.
@@ -106,12 +123,13 @@ def write_dataset(name: str, rows: Sequence[Row], task: Task, command: str) -> i
         buffers.append(
             EpisodeBuffer(
                 id=number,
-                seed=row["seed"],
+                seed=episode_seed(row["seed"]),
                 observations=list(_unpacked(episode["observations"], width)),
                 actions=list(_unpacked(episode["actions"], size)),
                 rewards=episode["rewards"],
                 terminations=last,  # the environment has succeeded
                 truncations=[False] * steps,
+                infos=_by_term(episode["infos"]),
             )
         )
     try:
@@ -174,6 +192,16 @@ def load_demos(name: str, most: int | None = None) -> Demos:
     except (ValueError, OSError, KeyError) as error:
         raise DemosError(f"dataset {name}: {error}") from None
     return Demos(observations, actions, len(episodes))
+
+
+def _by_term(infos: Mapping[str, list[Any]]) -> dict[str, Any]:
+    """As Minari keeps them: a list (t + 1) of each value, those of mappings by their keys."""
+    return {
+        name: {key: [value[key] for value in values] for key in values[0]}
+        if isinstance(values[0], dict)
+        else values
+        for name, values in infos.items()
+    }
 
 
 def _unpacked(text: str, width: int) -> Floats:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import multiprocessing
+import signal
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import gymnasium as gym
 import numpy as np
@@ -12,12 +14,13 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv, VecNormalize
 
 from baselines.learning.policies import Policy
-from baselines.learning.recipe import Recipe, Task
 from retract_env.env import TissueRetractEnv
+from retract_env.physics.registry import PHYSICS
 from retract_env.rollout import rollout
 from retract_env.threads import single_threaded
 
-IDS = {"fem": "TissueRetractFEM-v0", "bullet": "TissueRetract-v0"}
+if TYPE_CHECKING:
+    from baselines.learning.recipe import EnvSettings, Recipe
 
 
 class Judged(gym.Wrapper[Any, Any, Any, Any]):
@@ -46,14 +49,17 @@ def outcome(env: gym.Env[Any, Any], policy: Policy, scene: Mapping[str, Any] | N
     }
 
 
-def arguments(task: Task) -> dict[str, Any]:
+def arguments(settings: EnvSettings) -> dict[str, Any]:
     """Keyword arguments of the environment."""
-    return {"scene": task.scene, "grasp": task.grasp, "resolution": task.resolution}
+    return {"scene": settings.scene, "grasp": settings.grasp, "resolution": settings.resolution}
 
 
-def make_env(task: Task, rank: int, of: int) -> gym.Env[Any, Any]:
+def make_env(settings: EnvSettings, rank: int, of: int) -> gym.Env[Any, Any]:
     """One environment with its statistics of episodes."""
-    env = gym.make(IDS[task.physics], disable_env_checker=True, **arguments(task))
+    if multiprocessing.parent_process() is not None:
+        # Ctrl-C reaches the whole group of processes; when to end is the parent's to say
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    env = gym.make(PHYSICS[settings.physics].env_id, disable_env_checker=True, **arguments(settings))
     return Monitor(Judged(env, rank, of))
 
 

@@ -8,32 +8,110 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BeforeValidator, Field
 
 from baselines.jobs.files import write_json, written_whole
+from retract_env.config import Frozen, Listed, Name, Range, brief, refusal, whole
 from retract_env.errors import ConfigError
-from retract_env.task import actions, task
+from retract_env.task import SIZE, actions
 
 Floats = NDArray[np.float32]
 
-FORMAT = "retract-policy-1"
+FORMAT: Literal["retract-policy-1"] = "retract-policy-1"
 JSON, TENSORS = "policy.json", "policy.safetensors"
 TRAINED = Path(__file__).parent / "trained"
 """Policies that come with the package, a folder each."""
 MOST_BYTES = 64 * 2**20
 """A file larger than this is no policy of ours."""
-FIELDS = ("format", "name", "layers", "activation", "output", "clip", "tensors", "env", "training", "scores")
 
 
 class PolicyError(ConfigError):
     """A policy that cannot be used; the message is one line."""
+
+
+class _Part(Frozen):
+    """Constructors and `from_data` raise `PolicyError`."""
+
+    error_type: ClassVar[type[ConfigError]] = PolicyError
+
+
+def _plain(value: Any) -> Any:
+    if not isinstance(value, dict):
+        raise refusal(f" = {brief(value)}, not a mapping")
+    return value
+
+
+def _text(value: Any) -> Any:
+    if not isinstance(value, str) or not value.isprintable() or len(value) > 10_000:
+        raise refusal(f" = {brief(value)}, not a printable text of at most 10000 characters")
+    return value
+
+
+Text = Annotated[str, BeforeValidator(_text)]
+Plain = Annotated[dict[str, Any], BeforeValidator(_plain)]
+Whole = Annotated[int, whole(0, 2**53)]
+Real = Annotated[float, Range(-1e9, 1e9)]
+SHA256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+
+
+class _Judged(_Part):
+    """A line of the curve."""
+
+    steps: Whole
+    success: Annotated[float, Range(0.0, 1.0)]
+    quality: Real | None = None
+    strain: Real | None = None
+    total: Real | None = None
+    length: Real | None = None
+    seconds: Real | None = None
+
+
+class _Training(_Part):
+    """How it came about: what the benchmark asks for, and what a training run says besides."""
+
+    seed: Whole
+    curve: Annotated[tuple[_Judged, ...], Listed, Field(min_length=1)]
+    command: Text | None = None
+    recipe: Plain | None = None
+    envs: Whole | None = None
+    start: Text | None = None
+    demos: Whole | None = None
+    hash: SHA256 | None = None
+    steps: Whole | None = None
+
+
+class _Env(_Part):
+    id: Name
+    kwargs: Plain
+
+
+class _About(_Part):
+    """What policy.json says. Every field is checked when it is written and when it is read."""
+
+    format: Literal["retract-policy-1"]
+    name: Name
+    layers: Annotated[
+        tuple[tuple[Annotated[int, whole(1, 10**6)], Annotated[int, whole(1, 10**6)]], ...],
+        Listed,
+        Field(min_length=1, max_length=100),
+    ]
+    """(in, out) of each"""
+    activation: Literal["tanh", "relu"]
+    output: Literal["clip", "tanh"]
+    clip: Annotated[float, Range(0.0, 1e6, "", "(]")]
+    tensors: SHA256
+    """of the other file"""
+    env: _Env
+    training: _Training
+    scores: dict[str, _Judged]
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,24 +136,27 @@ class Policy:
     env: Mapping[str, Any] = field(default_factory=dict)
     """id and kwargs of the environment that it was trained in"""
     training: Mapping[str, Any] = field(default_factory=dict)
-    """command, recipe, seed, steps"""
+    """seed and curve; what a training run says besides: command, recipe, steps, ..."""
     scores: Mapping[str, Any] = field(default_factory=dict)
+    """a line as the curve's for each split that it was judged on"""
 
     def __post_init__(self) -> None:
+        if not 0 < self.clip < np.inf:
+            raise PolicyError(f"policy: clip = {self.clip}, allowed (0, inf)")
         sizes = [w.shape for w in self.weights]
         ends = [self.mean.shape[0], *(b.shape[0] for b in self.biases)]
         if sizes != [(ends[k + 1], ends[k]) for k in range(len(sizes))] or not sizes:
             raise PolicyError(f"policy: layers of shapes {sizes} do not follow each other")
-        if ends[0] != task.SIZE or ends[-1] != actions.SIZE:
+        if ends[0] != SIZE or ends[-1] != actions.SIZE:
             raise PolicyError(
-                f"policy: from {ends[0]} to {ends[-1]} numbers, allowed {task.SIZE} to {actions.SIZE}"
+                f"policy: from {ends[0]} to {ends[-1]} numbers, allowed {SIZE} to {actions.SIZE}"
             )
         if not all(np.isfinite(t).all() for t in self.tensors().values()) or not (self.deviation > 0).all():
             raise PolicyError("policy: weights, or the deviations of its observations, are no numbers")
 
     def __call__(self, observation: NDArray[Any]) -> Floats:
         """(3,) action in [-1, 1]. Raises ValueError for what is not the task's state vector."""
-        if observation.shape != (task.SIZE,):
+        if observation.shape != (SIZE,):
             raise ValueError(f"observation has shape {observation.shape}, allowed that of obs='state'")
         x = np.clip((observation - self.mean) / self.deviation, -self.clip, self.clip)
         for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
@@ -93,10 +174,12 @@ class Policy:
 
 
 def save_policy(policy: Policy, folder: Path) -> None:
-    """Write both files or neither; the folder is made. Raises OSError."""
+    """Write both files or neither; the folder is made.
+
+    Raises OSError, and PolicyError for what `load_policy` would refuse.
+    """
     from safetensors.numpy import save
 
-    folder.mkdir(parents=True, exist_ok=True)
     data = save({name: np.ascontiguousarray(t) for name, t in policy.tensors().items()})
     about = {
         "format": FORMAT,
@@ -106,10 +189,12 @@ def save_policy(policy: Policy, folder: Path) -> None:
         "output": policy.output,
         "clip": policy.clip,
         "tensors": hashlib.sha256(data).hexdigest(),
-        "env": policy.env,
-        "training": policy.training,
-        "scores": policy.scores,
+        "env": dict(policy.env),
+        "training": dict(policy.training),
+        "scores": dict(policy.scores),
     }
+    _About.from_data(about)
+    folder.mkdir(parents=True, exist_ok=True)
     with ExitStack() as both:
         both.enter_context(written_whole(folder / TENSORS)).write_bytes(data)
         write_json(both.enter_context(written_whole(folder / JSON)), about)
@@ -137,6 +222,9 @@ def load_policy(folder: str | Path) -> Policy:
     if hashlib.sha256(data).hexdigest() != about["tensors"]:
         raise PolicyError(f"{folder / TENSORS}: not the tensors that {JSON} was written with")
     tensors = _read_tensors(folder / TENSORS, data, len(about["layers"]))
+    for k, layer in enumerate(about["layers"]):
+        if (found := list(tensors[f"layer{k}.weight"].shape[::-1])) != layer:
+            raise PolicyError(f"{folder / JSON}: layers[{k}] = {layer}, but {TENSORS} has {found}")
     try:
         return Policy(
             name=about["name"],
@@ -166,32 +254,22 @@ def _bytes(file: Path) -> bytes:
 
 def _read_about(file: Path) -> dict[str, Any]:
     try:
-        about = json.loads(_bytes(file))
+        about = json.loads(_bytes(file), parse_constant=_no_number)
     except (ValueError, RecursionError) as error:
         if isinstance(error, PolicyError):
             raise
         raise PolicyError(f"{file}: not readable as JSON") from None
     if not isinstance(about, dict) or about.get("format") != FORMAT:
         raise PolicyError(f"{file}: not a policy of the format {FORMAT}")
-    if set(about) != set(FIELDS):
-        raise PolicyError(f"{file}: fields {', '.join(sorted(about))}, allowed {', '.join(FIELDS)}")
-
-    def known(value: object, allowed: Sequence[str]) -> bool:
-        return isinstance(value, str) and value in allowed
-
-    number = isinstance(about["clip"], int | float) and not isinstance(about["clip"], bool)
-    layers = about["layers"]
-    for name, sound in (
-        ("name", isinstance(about["name"], str) and about["name"].isprintable() and about["name"] != ""),
-        ("layers", isinstance(layers, list) and 0 < len(layers) <= 100),
-        ("activation", known(about["activation"], ("tanh", "relu"))),
-        ("output", known(about["output"], ("clip", "tanh"))),
-        ("clip", number and 0 < about["clip"] < float("inf")),
-        *((key, isinstance(about[key], dict)) for key in ("env", "training", "scores")),
-    ):
-        if not sound:
-            raise PolicyError(f"{file}: {name} = {str(about[name])[:60]}, which no policy has")
+    try:
+        _About.from_data(about)
+    except PolicyError as error:
+        raise PolicyError(f"{file}: {error}") from None
     return about
+
+
+def _no_number(name: str) -> None:
+    raise ValueError(f"{name} is not JSON")
 
 
 def _read_tensors(file: Path, data: bytes, layers: int) -> dict[str, Floats]:

@@ -6,53 +6,56 @@ Errors are a `RecipeError` of one line that names the file, the field, the value
 from __future__ import annotations
 
 from os import PathLike
-from typing import Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, SerializeAsAny, model_validator
 
-from retract_env.config import Frozen, Listed, Range, brief, config_file, read_yaml, refusal
+from baselines.learning.algorithms import ALGORITHMS, Learner
+from baselines.learning.fields import Count, Part, RecipeError
+from retract_env.config import Listed, Name, Range, brief, config_file, one_of, read_yaml, refusal, whole
 from retract_env.errors import ConfigError
+from retract_env.physics.registry import PHYSICS
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 
-class RecipeError(ConfigError):
-    """A recipe that cannot be used; the message is one line."""
+def _scene(value: Any) -> Any:
+    """Plain data has to be a scene's; a file is read when training begins."""
+    if isinstance(value, dict):
+        from retract_env.scene import Scene
+
+        try:
+            Scene.from_data(value)
+        except ConfigError as error:
+            raise refusal(f".{error}") from None
+    elif not isinstance(value, str):
+        raise refusal(f" = {brief(value)}, allowed 'random', a file, or a scene as plain data")
+    return value
 
 
-class _Part(Frozen):
-    """Constructors and `from_data` raise `RecipeError`."""
-
-    error_type: ClassVar[type[ConfigError]] = RecipeError
-
-
-def whole(low: int, high: int) -> BeforeValidator:
-    """Marks an int field that takes a whole number in [low, high]; 1e6 is one."""
-
-    def check(value: Any) -> int:
-        number = Range(low, high).check(value)
-        if number != int(number):
-            raise refusal(f" = {brief(value)}, not a whole number")
-        return int(number)
-
-    return BeforeValidator(check)
-
-
-Count = Annotated[int, whole(1, 10**9)]
-Rate = Annotated[float, Range(0.0, 1.0, "", "(]")]
-Share = Annotated[float, Range(0.0, 1.0)]
-Weight = Annotated[float, Range(0.0, 1e3)]
-
-
-class Task(_Part):
+class EnvSettings(Part):
     """What is learned on: arguments of the environment."""
 
-    physics: Literal["fem", "bullet"] = "fem"
-    scene: str | dict[str, Any] = "random"
+    physics: Annotated[str, one_of(PHYSICS)] = "fem"
+    scene: Annotated[Name | dict[str, Any], BeforeValidator(_scene)] = "random"
     """as the environment takes it: "random", a file, or plain data"""
     grasp: Literal["agent", "spring"] = "agent"
-    resolution: str | None = None
+    resolution: Name | None = None
+
+    @model_validator(mode="after")
+    def _resolution_is_the_physics(self) -> Self:
+        if self.resolution is not None:
+            try:
+                PHYSICS[self.physics].check(self.resolution)
+            except ImportError:
+                pass  # the recipe may be sound; the run says what to install
+            except ValueError as error:
+                raise refusal(f".{error}") from None
+        return self
 
 
-class Network(_Part):
+class Network(Part):
     """The policy's network, and any critic's."""
 
     sizes: Annotated[tuple[Annotated[int, whole(1, 4096)], ...], Listed] = (256, 256)
@@ -60,7 +63,7 @@ class Network(_Part):
     activation: Literal["tanh", "relu"] = "tanh"
 
 
-class Observation(_Part):
+class Observation(Part):
     """How observations are normalised: (o - mean) / sqrt(variance + floor^2), clipped."""
 
     clip: Annotated[float, Range(1.0, 100.0)] = 10.0
@@ -68,126 +71,71 @@ class Observation(_Part):
     """Least deviation that counts: what hardly varies in training would otherwise be blown up in use."""
 
 
-class Evaluation(_Part):
-    """When the policy is judged in its environment and everything is saved."""
+class Evaluation(Part):
+    """When the policy is judged in its environment, and when everything is saved.
+
+    A checkpoint ends a leg: the next begins with environments that are reset and generators seeded anew, so
+    that a run which was killed takes the same course as one that was not. So checkpoints are the recipe's.
+    """
 
     every: Count
     """Steps between evaluations, each with a checkpoint."""
+    checkpoint: Count | None = None
+    """Steps between further checkpoints; None: at evaluations only."""
     scenes: Annotated[int, whole(1, 1000)] = 16
     """So many of the validation split; a recipe with a scene of its own is judged on that one."""
 
 
-class PPO(_Part):
-    """Proximal policy optimisation."""
-
-    learning_rate: Rate
-    rollout: Count
-    """Steps of each environment between updates."""
-    batch_size: Count
-    epochs: Count
-    gamma: Share
-    gae_lambda: Share
-    clip_range: Rate
-    entropy_weight: Weight
-    value_weight: Weight
-    max_gradient: Weight
-    log_std: Annotated[float, Range(-10.0, 2.0)]
-    """Logarithm of the actions' deviation at the start."""
-    target_kl: Rate | None
-    critic_first: Annotated[int, whole(0, 10**9)]
-    """Steps at the start in which the critic alone learns."""
+def learner_of(algorithm: object) -> type[Learner]:
+    """The algorithm of that name. Raises RecipeError for another one."""
+    if not isinstance(algorithm, str) or algorithm not in ALGORITHMS:
+        raise RecipeError(f"algorithm = {brief(algorithm)}, allowed {', '.join(ALGORITHMS)}")
+    return ALGORITHMS[algorithm]
 
 
-class SAC(_Part):
-    """Soft actor-critic."""
-
-    learning_rate: Rate
-    buffer: Count
-    """Transitions that are remembered."""
-    warmup: Annotated[int, whole(0, 10**9)]
-    """Steps before the first update; random ones, or those of the policy that training starts from."""
-    batch_size: Count
-    tau: Rate
-    gamma: Share
-    train_every: Count
-    """Steps of each environment between updates."""
-    updates: Count
-    """Gradient steps then."""
-    entropy_weight: Rate | Literal["auto"]
-    log_std: Annotated[float, Range(-10.0, 2.0)]
-    """Logarithm of the actions' deviation at the start."""
-    critic_first: Annotated[int, whole(0, 10**9)]
-    """Steps at the start in which the critic alone learns."""
-    target_entropy: Annotated[float, Range(-100.0, 0.0)]
-
-
-class TQC(SAC):
-    """Truncated quantile critics: soft actor-critic that mistrusts its most hopeful quantiles."""
-
-    critics: Annotated[int, whole(1, 10)]
-    quantiles: Annotated[int, whole(1, 200)]
-    dropped: Annotated[int, whole(0, 199)]
-    """Quantiles dropped from each critic."""
-
-
-class BC(_Part):
-    """Behaviour cloning: least squares between the policy's mean action and the demonstrated one."""
-
-    policy: Literal["ppo", "sac", "tqc"]
-    """Whose policy class it is, so that this algorithm can go on from the result."""
-    dataset: Annotated[str, Field(min_length=1)]
-    """A Minari data set."""
-    learning_rate: Rate
-    """At the start; it falls to zero as a cosine."""
-    batch_size: Count
-    weight_decay: Share
-    grasp_weight: Weight
-    """How many times a move the choice of the grasp counts: there is one in an episode."""
-    stiffness_noise: Weight
-    """Deviation of the noise on the normalised k_eq: half of the observation, of which little depends."""
-
-
-Learner = PPO | SAC | TQC | BC
-LEARNERS: dict[str, type[PPO] | type[SAC] | type[TQC] | type[BC]] = {
-    "ppo": PPO,
-    "sac": SAC,
-    "tqc": TQC,
-    "bc": BC,
-}
-
-
-class Recipe(_Part):
+class Recipe(Part):
     """All that decides a training run, but the seed and how many environments run side by side."""
 
-    algorithm: Literal["ppo", "sac", "tqc", "bc"]
+    algorithm: str
+    """in `ALGORITHMS`"""
     steps: Count
     """Of all environments together; for bc, gradient steps."""
-    task: Task = Task()
+    task: EnvSettings = EnvSettings()
     network: Network = Network()
     observation: Observation = Observation()
     evaluation: Evaluation
-    learner: Learner
+    learner: SerializeAsAny[Learner]
+
+    @model_validator(mode="after")
+    def _learner_is_the_algorithms(self) -> Self:
+        if type(self.learner) is not ALGORITHMS.get(self.algorithm):
+            kind = type(self.learner).__name__
+            raise refusal(f".algorithm = {brief(self.algorithm)}, but the learner's is {kind}")
+        return self
 
     @classmethod
     def from_data(cls, data: Any) -> Recipe:
         """Recipe from plain data; its `learner` is read as the algorithm's. Raises RecipeError."""
-        if isinstance(data, dict) and data.get("algorithm") in LEARNERS and "learner" in data:
-            kind = LEARNERS[data["algorithm"]]
-            if not isinstance(data["learner"], dict):
-                raise RecipeError(f"learner = {brief(data['learner'])}, not a mapping")
+        if isinstance(data, dict) and {"algorithm", "learner"} <= data.keys():
+            kind, given = learner_of(data["algorithm"]), data["learner"]
+            if not isinstance(given, dict):
+                raise RecipeError(f"learner = {brief(given)}, not a mapping")
             try:
-                data = data | {"learner": kind.from_data(data["learner"])}
+                data = data | {"learner": kind.from_data(given)}
             except RecipeError as error:
                 raise RecipeError(f"learner.{error}") from None
         return super().from_data(data)
 
     def dump(self) -> dict[str, Any]:
         """Plain data that `from_data` and a YAML file take back."""
-        return self.model_dump(mode="json")
+        data = self.model_dump(mode="json")
+        if data["evaluation"]["checkpoint"] is None:
+            del data["evaluation"]["checkpoint"]  # runs from before there was one keep their hash
+        return data
 
 
 def load_recipe(path: str | PathLike[str]) -> Recipe:
-    """Recipe from a YAML file, or the shipped one of a name. Raises RecipeError, naming the file."""
+    """Recipe from a YAML file, or the shipped one of that name. Raises RecipeError, naming the file."""
     try:
         return Recipe.from_data(read_yaml(config_file(path, "train")))
     except ConfigError as error:

@@ -1,4 +1,4 @@
-"""Training: one loop for all algorithms, in legs that end with an evaluation and a checkpoint.
+"""Training: one loop for all algorithms, in legs that end with a checkpoint, some with an evaluation.
 
 A run is a folder: run.json (recipe, seed, what it began from), checkpoint.pt, curve.csv, policy/ (the best
 one so far on the validation split) and tensorboard/. A run that was killed goes on from its last checkpoint
@@ -12,8 +12,7 @@ import hashlib
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +21,12 @@ import numpy as np
 from baselines.jobs.files import write_json, written_whole
 from baselines.learning.agents import Agent
 from baselines.learning.checkpoints import CheckpointError, read_checkpoint, write_checkpoint
-from baselines.learning.cloning import Cloner
-from baselines.learning.demos import load_demos
 from baselines.learning.envs import judge, make_envs
 from baselines.learning.policies import Policy, load_policy, save_policy
-from baselines.learning.recipe import BC, Recipe
+from baselines.learning.recipe import Recipe
+from retract_env.env import read_scene
 from retract_env.errors import ConfigError
+from retract_env.physics.registry import PHYSICS
 
 RUN, CHECKPOINT, CURVE, POLICY, LOG = "run.json", "checkpoint.pt", "curve.csv", "policy", "tensorboard"
 
@@ -97,54 +96,77 @@ def open_run(folder: Path) -> Run:
     return run
 
 
+@dataclass
+class _Course:
+    """How a run has gone so far; with the agent's state, all that a checkpoint holds."""
+
+    curve: list[dict[str, Any]] = field(default_factory=list)
+    best: float = -np.inf
+    """quality of the policy that is kept"""
+    seconds: float = 0.0
+
+
 def train(run: Run, folder: Path, on_progress: OnProgress = lambda _: None) -> Policy:
     """Train to the end, from the checkpoint in the folder if there is one; returns the best policy.
 
-    Raises RecipeError, DemosError, PolicyError, CheckpointError, OSError.
+    What cannot be trained is refused before anything is written. Raises RecipeError, DemosError, PolicyError,
+    CheckpointError, SceneError, ImportError for a physics that is not installed, OSError.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    check_scene(run.recipe)
+    start = None if run.start is None else load_policy(run.start)
     envs = make_envs(run.recipe, run.envs)
     try:
-        agent = _agent(run, folder, envs)
-        curve, best = _resumed(run, agent, folder)
-        if not curve:
+        agent = run.recipe.learner.agent(run.recipe, envs, run.seed, run.demos)
+        course = _resumed(run, agent, folder)
+        if course is None:
+            course = _Course()
+            if start is not None:
+                agent.begin_from(start)
+            folder.mkdir(parents=True, exist_ok=True)
             with written_whole(folder / RUN) as temporary:
                 write_json(temporary, run.to_json())
-            if run.start is not None:
-                agent.begin_from(load_policy(run.start))
-        return _legs(run, folder, agent, curve, best, on_progress)
+        agent.log_to(folder / LOG)
+        return _legs(run, folder, agent, course, on_progress)
     finally:
         envs.close()
 
 
-def _legs(
-    run: Run,
-    folder: Path,
-    agent: Agent,
-    curve: list[dict[str, Any]],
-    best: float,
-    on_progress: OnProgress,
-) -> Policy:
-    total = run.recipe.steps
+def check_scene(recipe: Recipe) -> None:
+    """Raise SceneError or ImportError for a recipe whose environment cannot be made here."""
+    settings = recipe.task
+    kind = PHYSICS[settings.physics]
+    kind.check(settings.resolution or kind.resolution)
+    read_scene(settings.scene)
+
+
+def _legs(run: Run, folder: Path, agent: Agent, course: _Course, on_progress: OnProgress) -> Policy:
+    total, every = run.recipe.steps, run.recipe.evaluation.every
+    leg = run.recipe.evaluation.checkpoint or every
+    curve = course.curve
     last = curve[-1] if curve else None
+
+    def told(done: int) -> None:
+        on_progress(Progress(done, total, last))
+
+    told(agent.steps)
     while agent.steps < total:
-        begin = time.perf_counter()
-        steps = min(run.recipe.evaluation.every, total - agent.steps)
-        agent.learn(steps, partial(_told, on_progress, total, last))
-        policy = agent.policy()
-        last = _judged(run, agent, policy)
-        earlier = curve[-1]["seconds"] if curve else 0.0
-        last["seconds"] = round(earlier + time.perf_counter() - begin, 1)
-        curve.append(last)
-        agent.record({f"validation/{k}": v for k, v in last.items() if k not in ("steps", "seconds")})
-        if last["quality"] > best or len(curve) == 1:
-            best = last["quality"]
-            save_policy(_described(run, policy, curve), folder / POLICY)
-        _write_curve(folder / CURVE, curve)
-        write_checkpoint(
-            folder / CHECKPOINT,
-            {"run": run.to_json()["hash"], "agent": agent.state(), "curve": curve, "best": best},
-        )
+        begin, earlier = time.perf_counter(), course.seconds
+        due = min((last["steps"] if last else 0) + every, total)
+        agent.learn(min(leg, due - agent.steps), told)
+        if agent.steps >= due:
+            policy = agent.policy()
+            last = _judged(run, agent, policy)
+            last["seconds"] = round(earlier + time.perf_counter() - begin, 1)
+            curve.append(last)
+            shown = {f"validation/{k}": v for k, v in last.items() if k not in ("steps", "seconds")}
+            agent.record(shown)
+            if last["quality"] > course.best or len(curve) == 1:
+                course.best = last["quality"]
+                save_policy(_described(run, policy, curve), folder / POLICY)
+            _write_curve(folder / CURVE, curve)
+        course.seconds = earlier + time.perf_counter() - begin
+        state = {"run": run.to_json()["hash"], "agent": agent.state(), **vars(course)}
+        write_checkpoint(folder / CHECKPOINT, state)
         on_progress(Progress(agent.steps, total, last))
     kept = load_policy(folder / POLICY)
     kept = replace(kept, training={**kept.training, "curve": curve})  # what came after it too
@@ -152,28 +174,17 @@ def _legs(
     return kept
 
 
-def _told(on_progress: OnProgress, total: int, last: Mapping[str, Any] | None, done: int) -> None:
-    on_progress(Progress(done, total, last))
-
-
-def _agent(run: Run, folder: Path, envs: Any) -> Agent:
-    if isinstance(run.recipe.learner, BC):
-        demos = load_demos(run.recipe.learner.dataset, run.demos)
-        return Cloner(run.recipe, envs, run.seed, demos, folder / LOG)
-    return Agent(run.recipe, envs, run.seed, folder / LOG)
-
-
-def _resumed(run: Run, agent: Agent, folder: Path) -> tuple[list[dict[str, Any]], float]:
-    """Bring the agent to the last checkpoint; its curve and best quality, if there is one."""
+def _resumed(run: Run, agent: Agent, folder: Path) -> _Course | None:
+    """Bring the agent to the last checkpoint, if there is one, and say how the run had gone."""
     file = folder / CHECKPOINT
     if not file.exists():
-        return [], -np.inf
+        return None
     state = read_checkpoint(file)
     if state.get("run") != run.to_json()["hash"]:
         raise CheckpointError(f"{file}: belongs to another run than {folder / RUN}")
     try:
         agent.restore(state["agent"])
-        return list(state["curve"]), float(state["best"])
+        return _Course(list(state["curve"]), float(state["best"]), float(state["seconds"]))
     except (KeyError, ValueError, TypeError, RuntimeError) as error:
         raise CheckpointError(f"{file}: not of this agent: {str(error).splitlines()[0]}") from None
 

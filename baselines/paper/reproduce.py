@@ -2,26 +2,20 @@
 
 from __future__ import annotations
 
-import logging
-import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
+from collections.abc import Sequence
+from contextlib import nullcontext
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from baselines.jobs.journal import Journal, Work, key_of, run_tasks
-from baselines.paper.report import write
-from baselines.paper.studies import STUDIES
-from baselines.paper.tasks import Row, Task, evaluate
+from baselines.jobs.journal import Row
+from baselines.jobs.told import connected, run_told
+from baselines.paper.experiments import Experiment, evaluate
+from baselines.paper.studies import STUDIES, study
+from baselines.paper.study import write
 from planners.search import cores
 from retract_env.errors import ConfigError
-
-TOLD_EVERY = 30.0
-"""s, between lines where there is no terminal to draw a bar in."""
 
 
 def names(asked: str) -> list[str]:
@@ -54,17 +48,17 @@ def reproduce(
     written = []
     with nullcontext() if cluster is None else connected(cluster):
         for name in asked:
-            study, journal = STUDIES[name], out / f".{name}.jsonl"
+            asked_for, journal = study(name), out / f".{name}.jsonl"
             if fresh:
                 journal.unlink(missing_ok=True)
-            title = f"{name}: {study.about}"
-            rows = done(study.tasks(), resolution, journal, workers, cluster is not None, title, console)
-            written += write(study, rows, out, resolution)
+            title, far = f"{name}: {asked_for.about}", cluster is not None
+            rows = done(asked_for.experiments(), resolution, journal, workers, far, title, console)
+            written += write(asked_for, rows, out, resolution)
     return written
 
 
 def done(
-    tasks: Sequence[Task],
+    experiments: Sequence[Experiment],
     resolution: str,
     journal: Path,
     workers: int,
@@ -72,70 +66,7 @@ def done(
     title: str,
     console: Console,
 ) -> list[Row]:
-    """Rows of all tasks, label and result, in their order, with the progress told on the console."""
-    works = [task.work(resolution) for task in tasks]
+    """Rows of all experiments, label and result, in their order, with the progress told on the console."""
+    works = [experiment.work(resolution) for experiment in experiments]
     rows = run_told(works, evaluate, journal, workers, cluster, title, console)
-    return [{**task.label, **row} for task, row in zip(tasks, rows, strict=True)]
-
-
-def run_told(
-    tasks: Sequence[Mapping[str, Any]],
-    work: Work,
-    journal: Path | None,
-    workers: int,
-    cluster: bool,
-    title: str,
-    console: Console,
-) -> list[Row]:
-    """`run_tasks`, with the progress told on the console."""
-    keys = {key_of(task) for task in tasks}
-    with Told(title, len(keys), len(keys & set(Journal(journal).rows)), console) as told:
-        return run_tasks(tasks, work, journal, workers, cluster, told.another)
-
-
-@contextmanager
-def connected(address: str) -> Iterator[None]:
-    """A Ray cluster to work on. Raises ConfigError without Ray, ConnectionError without the cluster."""
-    try:
-        import ray
-    except ImportError:
-        raise ConfigError("--cluster needs Ray: pip install 'retract[cluster]'") from None
-    ray.init(address=address, logging_level=logging.WARNING, log_to_driver=False)
-    try:
-        yield
-    finally:
-        ray.shutdown()
-
-
-class Told:
-    """Context manager: a bar in a terminal, else a line now and then."""
-
-    def __init__(self, title: str, total: int, before: int, console: Console):
-        """total: tasks; before: those done in an earlier run."""
-        self.title, self.total, self.before, self.done, self.console = title, total, before, before, console
-        columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-        self.bar = Progress(*columns, console=console, disable=not console.is_terminal)
-        self._begun = self._told = time.monotonic()
-
-    def __enter__(self) -> Told:
-        if self.before:
-            self._say(f"{self.before} of {self.total} were done before")
-        self.bar.start()
-        self._task = self.bar.add_task(self.title, total=self.total, completed=self.before)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.bar.stop()
-
-    def another(self, _: Row) -> None:
-        """One more task is done."""
-        self.done += 1
-        self.bar.update(self._task, completed=self.done)
-        now = time.monotonic()
-        if not self.console.is_terminal and (now - self._told > TOLD_EVERY or self.done == self.total):
-            self._told = now
-            left = (self.total - self.done) * (now - self._begun) / (self.done - self.before)
-            self._say(f"{self.done} of {self.total}, {left:.0f} s left")
-
-    def _say(self, text: str) -> None:
-        self.console.print(f"{self.title}: {text}", highlight=False, soft_wrap=True)
+    return [{**experiment.label, **row} for experiment, row in zip(experiments, rows, strict=True)]

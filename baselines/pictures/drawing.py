@@ -18,6 +18,7 @@ from matplotlib.transforms import Affine2D
 from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 
+from retract_env.drawing.gauges import needed_friction
 from retract_env.drawing.palette import (
     GREY,
     GROUND,
@@ -27,22 +28,27 @@ from retract_env.drawing.palette import (
     SIGHT,
     STEEL,
     STRAIN,
+    TISSUE,
     VALUE,
+    VEIN,
     VEIN_EDGE,
     WEDGE,
     WHITE,
 )
-from retract_env.drawing.shapes import JawShapes, SectionTopology
+from retract_env.drawing.shapes import JawShapes, SectionTopology, sight_reach
 
 if TYPE_CHECKING:
     from planners.certify import Certificate
     from retract_env.mesh import SectionMesh
     from retract_env.physics.base import TissueState
-    from retract_env.scene import Scene
+    from retract_env.scene import Scene, Tissue
 
 Array = NDArray[np.float64]
 
 MM = 1e3
+"""mm in a metre"""
+KPA_PER_MM = 1e-6
+"""kPa/mm in a Pa/m"""
 
 STYLE: Any = {
     "font.family": "DejaVu Sans", "font.size": 9.5, "text.color": INK, "text.usetex": False,
@@ -126,6 +132,17 @@ class JawArtist:
             patch.set_xy(shape[:-1] * MM)
 
 
+def draw_flap_at_rest(axes: Axes, tissue: Tissue) -> None:
+    """The flap before anything happens, with its veins, mm."""
+    length, height = tissue.length * MM, tissue.height * MM
+    axes.add_patch(
+        Rectangle((-length, 0), length, height, facecolor=TISSUE, edgecolor=INK, linewidth=1.1, zorder=1)
+    )
+    for vein in tissue.veins:
+        outline = np.array(vein.outline) * MM
+        axes.add_patch(Polygon(outline, facecolor=VEIN, edgecolor=VEIN_EDGE, linewidth=0.9, zorder=2))
+
+
 def view_limits(scene: Scene, frames: Sequence[TissueState]) -> tuple[float, float, float, float]:
     """x0, x1, y0, y1 in mm that hold the flap in all frames, the jaws, bed and fixed end."""
     tissue = scene.tissue
@@ -155,10 +172,8 @@ def draw_surroundings(
     camera, target = np.array(line.camera) * MM, np.array(line.target) * MM
     distance = float(np.linalg.norm(camera - target))
     away = (camera - target) / distance
-    room = [(y1 - 0.04 * length) / away[1], distance]
-    if away[0] < 0:
-        room.append((x0 + 0.04 * length - target[0]) / away[0])
-    end = target + min(room) * away
+    inside = 0.04 * length
+    end = target + sight_reach(target, away, distance, x0 + inside, y1 - inside) * away
     far = 1e2 * length
     wedge = np.array([target, target + far * away, (x0 - far, far), (x0 - far, 0.0)])
     axes.add_patch(Polygon(wedge, facecolor=WEDGE, edgecolor="none", zorder=0.5))
@@ -214,8 +229,7 @@ def draw_histories(
     frames = certificate.frames
     steps = np.arange(len(frames), dtype=np.float64)
     strain = np.array([f.max_strain for f in frames])
-    # Only closed jaws are asked to hold, so friction begins with the motion.
-    friction = np.array([np.max(f.required_friction) if f.progress >= 1 else np.nan for f in frames])
+    friction = np.array([needed_friction(f) for f in frames])
     clearance = np.array([f.clearance for f in frames]) * MM
     friction_limit = certificate.friction_limit
     top = 1.3 * max(friction_limit, np.max(friction, where=np.isfinite(friction), initial=0.0))

@@ -32,7 +32,7 @@ from baselines.pictures.drawing import (
     view_limits,
 )
 from baselines.pictures.still import heading, verdict
-from retract_env.drawing.palette import GREY, LIMIT, SIGHT, VALUE
+from retract_env.drawing.palette import GREY, LIMIT, PALE_VALUE, SIGHT, VALUE
 from retract_env.drawing.shapes import SectionTopology
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ def animation_images(plan: Plan) -> Iterator[Pixels]:
     gap = 44
     wide = (WIDTH_PX - left - 24 - 2 * gap) / 3
     plots = [panel(left + i * (wide + gap), below, wide, strip) for i in range(3)]
-    curves = draw_histories(plots, certificate, colour="#b9d3e6")
+    curves = draw_histories(plots, certificate, colour=PALE_VALUE)
 
     flap = FlapArtist(axes, SectionTopology(section), limit, straight=True)
     jaws = JawArtist(axes, scene)

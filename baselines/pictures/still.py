@@ -21,11 +21,13 @@ from baselines.jobs.files import written_whole
 from baselines.pictures.drawing import (
     HALO,
     HATCHED,
+    KPA_PER_MM,
     MM,
     STYLE,
     FlapArtist,
     JawArtist,
     bed_note,
+    draw_flap_at_rest,
     draw_histories,
     draw_surroundings,
     drawn_frames,
@@ -33,7 +35,7 @@ from baselines.pictures.drawing import (
     strain_map,
     view_limits,
 )
-from retract_env.drawing.palette import GREY, INK, LIMIT, SIGHT, STEEL, TISSUE, VALUE, VEIN, VEIN_EDGE
+from retract_env.drawing.palette import GREY, HIDDEN_VEIL, INK, LIMIT, SIGHT, STEEL, VALUE
 from retract_env.drawing.shapes import SectionTopology, hidden_region
 from retract_env.spring import SpringModel
 
@@ -44,7 +46,6 @@ if TYPE_CHECKING:
 DPI = 160
 WIDTH, LEFT, RIGHT = 10.0, 0.75, 0.95  # inches: page, margins
 GHOSTS = 3
-KPA_PER_MM = 1e-6  # of one Pa/m
 
 VERDICTS = {
     "ok": "Certified",
@@ -197,20 +198,13 @@ def _draw_stiffness(axes: Axes, below: Axes, plan: Plan) -> None:
 
 
 def _draw_rest(axes: Axes, plan: Plan, span: tuple[float, float], tall: float) -> None:
-    tissue = plan.scene.tissue
-    length, height = tissue.length * MM, tissue.height * MM
+    height = plan.scene.tissue.height * MM
     axes.set_xlim(*span)
     axes.set_ylim(-0.3, tall - 0.3)
     axes.set_aspect("equal")
-    axes.add_patch(
-        Rectangle((-length, 0), length, height, facecolor=TISSUE, edgecolor=INK, linewidth=1.1, zorder=1)
-    )
+    draw_flap_at_rest(axes, plan.scene.tissue)
     axes.add_patch(Rectangle((0, 0), span[1], height, zorder=1, **HATCHED))
     axes.plot([0, 0], [0, height], color=INK, linewidth=2.2, solid_capstyle="butt", zorder=2)
-    for vein in tissue.veins:
-        axes.add_patch(
-            Polygon(np.array(vein.outline) * MM, facecolor=VEIN, edgecolor=VEIN_EDGE, linewidth=0.9, zorder=2)
-        )
     axes.spines[["left", "bottom"]].set_visible(False)
     axes.tick_params(left=False, labelleft=False, length=2, pad=1)
 
@@ -244,7 +238,7 @@ def _draw_motion(axes: Axes, plan: Plan, limits: tuple[float, float, float, floa
         axes.plot(*tracks[:, side].T, color=STEEL, linewidth=1.0, linestyle=(0, (1, 1.5)), zorder=2.8)
     outline = np.asarray(frames[-1].points)[topology.outline]
     shade = hidden_region(outline, scene.line_of_sight.camera) * MM
-    axes.add_patch(Polygon(shade, facecolor="#b4bbc2", edgecolor="none", alpha=0.75, zorder=2.3))
+    axes.add_patch(Polygon(shade, facecolor=HIDDEN_VEIL, edgecolor="none", zorder=2.3))
     reach = float(shade[-1, 0])  # the bed is hidden from here to the fixed end
     if reach / 2 - scene.line_of_sight.target[0] * MM > 4.0:
         bed_note(axes, reach / 2, "hidden", GREY)

@@ -2,6 +2,6 @@
 
 from planners.certify.certificate import REASONS, Certificate
 from planners.certify.retraction import Retraction
-from planners.certify.trial import Trial, certify, verified
+from planners.certify.trial import Trial, certify, differences, verified
 
-__all__ = ["REASONS", "Certificate", "Retraction", "Trial", "certify", "verified"]
+__all__ = ["REASONS", "Certificate", "Retraction", "Trial", "certify", "differences", "verified"]

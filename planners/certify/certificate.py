@@ -13,7 +13,9 @@ from retract_env import __version__
 from retract_env.mesh import SectionMesh
 from retract_env.physics.base import TissueState
 
-REASONS = ("ok", "not_visible", "strain", "slip", "release", "diverged")
+REASONS = ("ok", "not_visible", "strain", "slip", "release", "contact", "diverged")
+ADDED = ("peaks", "clearance_limit")
+"""Fields that certificates have had since version 0.2; older ones are read as they are."""
 
 
 @dataclass(frozen=True)
@@ -24,10 +26,10 @@ class Certificate:
     reason: str
     """one of REASONS: why the motion ended"""
     max_strain: float
-    """eps_max, the greatest eps_1% of all increments"""
+    """eps_max, the greatest eps_1% along the path, to the tolerance that `peaks` states"""
     strain_limit: float
     required_friction: float
-    """the greatest of both jaws and all increments since the jaws closed"""
+    """the greatest of both jaws since they closed, likewise"""
     friction_limit: float
     clearance: float
     """m, at the end"""
@@ -41,12 +43,19 @@ class Certificate:
     version: str = __version__
     verification: dict[str, Any] | None = None
     """the same on a finer mesh, and the differences; None unless asked for"""
+    peaks: dict[str, Any] | None = None
+    """where the greatest strain and friction are: progress in waypoints, place at rest, m, jaw; and the
+    tolerances to which they are known between increments. None in certificates before version 0.2"""
+    clearance_limit: float = 0.0
+    """m"""
     frames: tuple[TissueState, ...] = field(default=(), repr=False, compare=False)
     section: SectionMesh | None = field(default=None, repr=False, compare=False)
 
     def to_json(self) -> dict[str, Any]:
         """Plain data; `hash` is the SHA-256 of all the rest in canonical form. No wall-clock is in it."""
         data = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("frames", "section")}
+        if self.peaks is None:
+            data = {name: value for name, value in data.items() if name not in ADDED}
         data = _finite(data)
         text = json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return {**data, "hash": hashlib.sha256(text.encode()).hexdigest()}
@@ -55,10 +64,22 @@ class Certificate:
     def from_json(cls, data: Mapping[str, Any]) -> Certificate:
         """The inverse of `to_json`. Raises ValueError where the content does not match its hash."""
         names = {f.name for f in fields(cls)} - {"frames", "section"}
-        if not isinstance(data, Mapping) or set(data) != names | {"hash"}:
-            raise ValueError("certificate: fields are missing or unknown")
+        if not isinstance(data, Mapping):
+            raise ValueError("certificate: allowed is an object")
+        whole, old = names | {"hash"}, names - set(ADDED) | {"hash"}
+        if set(data) not in (whole, old):
+            missing, unknown = sorted(whole - set(data)), sorted(set(map(str, data)) - whole)
+            said = [
+                f"{word} {', '.join(found)}"
+                for word, found in (("missing", missing), ("unknown", unknown))
+                if found
+            ]
+            raise ValueError(f"certificate: {'; '.join(said)}")
         content = {k: v for k, v in data.items() if k != "hash"}
-        text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
+        try:
+            text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
+        except ValueError:
+            raise ValueError("certificate: allowed finite numbers") from None
         if hashlib.sha256(text.encode()).hexdigest() != data["hash"]:
             raise ValueError("certificate: its content does not match its hash")
         numbers = ("required_friction", "history", "verification")

@@ -1,16 +1,20 @@
 """A retraction under way on the finite elements: the jaws close, then follow their path. Sec. III-C, IV-A.
 
 The path is followed in increments; after each the three objectives are measured. It ends at success or at the
-first broken limit.
+first broken limit. Then the flap is looked at between increments, wherever its greatest strain or needed
+friction may be greater there than a tolerance (`peaks`), so that more increments would change no verdict.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
+from planners.certify.peaks import PEELED, doubtful
 from retract_env.errors import Diverged
 from retract_env.grasp import Grasp, JawPath
 from retract_env.mesh import RESOLUTIONS, patch_ends
@@ -25,7 +29,15 @@ LONGEST_STEP = 2.5e-3
 ON_TIME = 2e-5
 """m, the moment of visibility is met within this clearance."""
 MOST_TIMINGS = 12
-"""Solutions spent on that moment; tissue that snaps past the line never meets it."""
+"""Equilibria, at most, in search of that moment; tissue that snaps past the line never meets it."""
+MOST_HALVINGS = 6
+"""How often an increment is halved to tell which of several things came first."""
+STRAIN_TOLERANCE = 5e-3
+"""The greatest eps_1% along the path is known to this part of it."""
+FRICTION_TOLERANCE = 3e-3
+"""The greatest needed friction along the path is known to this."""
+MOST_LOOKS = 120
+"""Equilibria between increments; a retraction that jumps about more than these can follow has diverged."""
 FARTHEST = 10.0
 """m, from the origin, that a path may lead; jaws as far away as that hold nothing any more."""
 
@@ -43,8 +55,9 @@ class Retraction:
         path: JawPath,
         resolution: str = "fine",
         limits: Limits | None = None,
+        division: int = 1,
     ):
-        """limits: at which it ends, None: the scene's.
+        """limits: at which it ends, None: the scene's; division: of each increment of the motion into parts.
 
         Raises ValueError: grasp off the flap, path that does not begin there, or unknown resolution.
         """
@@ -66,13 +79,18 @@ class Retraction:
             raise ValueError(f"path.waypoints reach {far:g} m from the fixed end, allowed {FARTHEST:g} m")
         self.scene, self.grasp, self.path, self.resolution = scene, grasp, path, resolution
         self.limits = scene.limits if limits is None else limits
+        self.division = division
         self.frames: list[TissueState] = []
+        """states so far, by progress"""
+        self._shapes: list[NDArray[np.float64]] = []
+        """displacements of each frame while the retraction is under way"""
         self.reason: str | None = None
+        """why it ended, one of REASONS or "pruned"; None until that is final"""
         self.max_strain = 0.0
         self.required_friction = 0.0
         self.physics: FemPhysics | None = None
         self.optimising = 0.0
-        """s spent on the path before the squeeze, with whose seconds they are counted"""
+        """s spent on finding the path before the squeeze; added to the time of the squeeze"""
 
     @property
     def ended(self) -> bool:
@@ -88,111 +106,240 @@ class Retraction:
         The strain of the squeeze bounds that of the whole retraction from below. on_increment: called after
         each increment; what it raises ends the squeeze. Raises MeshError.
         """
-        self.physics = FemPhysics(self.scene, self.grasp.x, self.resolution)
+        self.physics = physics = FemPhysics(self.scene, self.grasp.x, self.resolution)
         if self.optimising:
-            self.physics.seconds["optimisation"] += self.optimising
+            physics.seconds["optimisation"] += self.optimising
             self.optimising = 0.0
-        self.frames = [self.physics.state()]
         self.reason, self.max_strain, self.required_friction = None, 0.0, 0.0
+        self.frames, self._shapes = [physics.state()], [physics.displacements]
+        found: str | None = None
         try:
-            self.frames = [self.physics.reset()]
+            self.frames, self._shapes = [physics.reset()], [physics.displacements]
         except Diverged:
-            self.reason = "diverged"
+            found = "diverged"
         for part in np.linspace(0, 1, SQUEEZE_INCREMENTS + 1)[1:]:
-            if not self.ended:
-                self._advance(float(part))
+            if found in (None, "ok"):
+                found = self._advance(float(part))
                 on_increment()
-        self.physics.turn()
+        physics.turn()
+        self.reason = None if found == "ok" else found  # success is for `move` to say
 
     def move(
         self, bound: Callable[[], float] = lambda: math.inf, on_increment: Callable[[], None] = lambda: None
     ) -> None:
         """Follow the path to success, a broken limit, or its end.
 
-        bound: asked after each increment; a strain above it ends the trial with the reason "pruned".
+        bound: asked before each increment; a strain above it ends the retraction with the reason "pruned".
+        on_increment: called after each; what it raises ends the motion.
         """
         assert self.physics is not None, "squeeze first"
+        if self.ended:
+            return
+        found: str | None = None
+        whole = [1.0]
         for target in self._increments():
-            if self.ended:
-                return
             if self.max_strain > bound():
                 self.reason = "pruned"
                 return
-            before = self.frames[-1]
-            self._advance(target)
-            if self.reason != "diverged" and self.clearance >= 0:
-                self._time_visibility(before)
-                self.reason = self.reason or "ok"
+            found = self._advance(target)
+            if found is not None and found != "diverged":
+                found = self._first()
+            whole.append(self.frames[-1].progress)
             on_increment()
-        self.reason = self.reason or "not_visible"
+            if found is not None:
+                break
+        found = self._looked_between(found or "not_visible", whole, on_increment)
+        self._shapes = []
+        self.reason = found
 
     def _increments(self) -> Iterator[float]:
         """Progress at each increment of the motion: every waypoint, long steps divided."""
         jaws = self.path.waypoints
         for k in range(2, len(jaws)):
             step = np.abs(jaws[k] - jaws[k - 1]).reshape(2, 2)
-            pieces = max(1, math.ceil(float(np.hypot(*step.T).max()) / LONGEST_STEP))
+            pieces = max(1, math.ceil(float(np.hypot(*step.T).max()) / LONGEST_STEP)) * self.division
             for i in range(pieces):
                 yield k - 1 + (i + 1) / pieces
 
-    def _advance(self, progress: float) -> None:
+    def _advance(self, progress: float) -> str | None:
+        """Move the jaws on; what that state comes to, or "diverged"."""
         assert self.physics is not None
         try:
             state = self.physics.move_to(self.path.pose_at(progress), progress)
         except Diverged:
-            self.reason = "diverged"
-            return
-        self._judge(state)
+            return "diverged"
+        self._put(len(self.frames), state, self.physics.displacements)
+        return self._verdict(state)
 
-    def _judge(self, state: TissueState) -> None:
-        limits = self.limits
-        self.frames.append(state)
+    def _put(self, place: int, state: TissueState, shape: NDArray[np.float64]) -> None:
+        self.frames.insert(place, state)
+        self._shapes.insert(place, shape)
+        self._measure(state)
+
+    def _measure(self, state: TissueState) -> None:
         self.max_strain = max(self.max_strain, state.max_strain)
-        friction = 0.0
         if state.progress >= 1:  # security is asked of closed jaws
-            friction = float(state.required_friction.max())
-            self.required_friction = max(self.required_friction, friction)
-        found = verdict(state.max_strain, friction, state.clearance, limits.strain, limits.friction)
-        if found != "ok":  # success is for `move` to say, once it is on time
-            self.reason = found
+            self.required_friction = max(self.required_friction, float(state.required_friction.max()))
 
-    def _time_visibility(self, hidden: TissueState) -> None:
+    def _cut(self, count: int) -> None:
+        """Forget all but the first `count` frames."""
+        del self.frames[count:], self._shapes[count:]
+        self.max_strain = self.required_friction = 0.0
+        for state in self.frames:
+            self._measure(state)
+
+    def _friction(self, state: TissueState) -> float:
+        return float(state.required_friction.max()) if state.progress >= 1 else 0.0
+
+    def _verdict(self, state: TissueState) -> str | None:
+        limits = self.limits
+        return verdict(
+            state.max_strain,
+            self._friction(state),
+            state.clearance,
+            limits.strain,
+            limits.friction,
+            limits.clearance,
+            state.overlap,
+        )
+
+    def _events(self, state: TissueState) -> int:
+        """How many things have happened in a state, any of which ends a retraction."""
+        limits = self.limits
+        return (
+            (state.max_strain > limits.strain)
+            + (self._friction(state) > limits.friction)
+            + state.overlap
+            + (state.clearance >= limits.clearance)
+        )
+
+    def _first(self) -> str | None:
+        """What ended the retraction, the last increment cut down to where that alone has happened."""
+        for _ in range(MOST_HALVINGS):
+            if self._events(self.frames[-1]) < 2:
+                break
+            place = len(self.frames) - 1
+            try:
+                state, shape = self._between(place)
+            except Diverged:
+                break
+            if self._events(state):
+                self._cut(place)
+            self._put(place, state, shape)
+        found = self._verdict(self.frames[-1])
+        return self._time_visibility() if found == "ok" else found
+
+    def _between(self, place: int) -> tuple[TissueState, NDArray[np.float64]]:
+        """State and displacements half-way to a place from the frame before it. Raises Diverged."""
+        assert self.physics is not None
+        before, after = self.frames[place - 1], self.frames[place]
+        progress = (before.progress + after.progress) / 2
+        pose = self.path.pose_at(progress)
+        known = [(f.progress, u) for f, u in zip(self.frames, self._shapes, strict=True) if f.progress >= 1]
+        return self.physics.between(known, self.path.pose_at(before.progress), pose, progress)
+
+    def _time_visibility(self) -> str:
         """Shorten the last increment until the tissue has just cleared the line (regula falsi, Illinois).
 
-        The trial ends on the first state seen to clear it, unless a limit breaks before.
+        The retraction ends on the first state seen to clear it, unless a limit breaks before.
         """
-        seen = self.frames[-1]
+        assert self.physics is not None
+        limit = self.limits.clearance
+        seen, shape = self.frames[-1], self._shapes[-1]
+        hidden = self.frames[-2]
+        self._cut(len(self.frames) - 1)
         # distances to the middle of what is on time; an end that stays is halved, lest it stay for good
-        low, high = hidden.clearance - ON_TIME / 2, seen.clearance - ON_TIME / 2
+        goal = limit + ON_TIME / 2
+        low, high = hidden.clearance - goal, seen.clearance - goal
         moved = ""
         for _ in range(MOST_TIMINGS):
-            if seen.clearance <= ON_TIME:
-                return
-            self._take_back()
+            if seen.clearance <= limit + ON_TIME:
+                break
             part = min(0.95, max(0.05, low / (low - high)))
-            self._advance(hidden.progress + (seen.progress - hidden.progress) * part)
-            if self.reason == "diverged":  # what was reached counts
-                self.reason = None
-                self._judge(seen)
-                return
+            progress = hidden.progress + (seen.progress - hidden.progress) * part
+            found = self._advance(progress)
+            if found == "diverged":  # what was reached counts
+                break
+            if found not in (None, "ok"):
+                return str(found)
             state = self.frames[-1]
-            if state.clearance >= 0:
-                seen, high = state, state.clearance - ON_TIME / 2
+            if found == "ok":
+                seen, shape, high = state, self._shapes[-1], state.clearance - goal
+                self._cut(len(self.frames) - 1)
                 low = low / 2 if moved == "seen" else low
                 moved = "seen"
-            elif self.ended:
-                return
             else:
-                hidden, low = state, state.clearance - ON_TIME / 2
+                hidden, low = state, state.clearance - goal
                 high = high / 2 if moved == "hidden" else high
                 moved = "hidden"
-                self._judge(seen)
+        self._put(len(self.frames), seen, shape)
+        return "ok"
 
-    def _take_back(self) -> None:
-        """Forget the last state and its verdict."""
-        self.frames.pop()
-        self.reason = None
-        self.max_strain = max(f.max_strain for f in self.frames)
-        self.required_friction = max(
-            (float(f.required_friction.max()) for f in self.frames if f.progress >= 1), default=0.0
-        )
+    def _looked_between(self, found: str, whole: list[float], on_increment: Callable[[], None]) -> str:
+        """What the retraction came to once no peak hides between its frames any more.
+
+        whole: progress at the increments; found: what it came to at those.
+        """
+        assert self.physics is not None
+        end = self.frames[-1].progress
+        for _ in range(MOST_LOOKS):
+            place = self._doubt(found, whole)
+            if place is None:
+                if self.frames[-1].progress != end:
+                    last = self.frames[-1]
+                    self.physics.resume(self.path.pose_at(last.progress), last.progress, self._shapes[-1])
+                return found
+            try:
+                state, shape = self._between(place)
+            except Diverged:
+                self._cut(place)
+                return "diverged"
+            self._put(place, state, shape)
+            on_increment()
+            if self._verdict(state) is not None:
+                self._cut(place + 1)
+                self.physics.resume(self.path.pose_at(state.progress), state.progress, shape)
+                found = str(self._first())
+        return "diverged"
+
+    def _doubt(self, found: str, whole: list[float]) -> int | None:
+        """The frame before which more may hide than is tolerated; None where nothing does."""
+        begin = next((i for i, f in enumerate(self.frames) if f.progress >= 1), len(self.frames))
+        frames, limits = self.frames[begin:], self.limits
+        if len(frames) < 2:
+            return None
+        at = np.array([f.progress for f in frames])
+        lying = np.array([self._lying(f) for f in frames])
+        steps = set(pairwise(whole))
+        for i, change in enumerate(np.abs(np.diff(lying))):
+            if change > PEELED and (at[i], at[i + 1]) in steps:
+                return begin + i + 1
+
+        # no need to know how far beyond a limit, nor beyond what double would tell
+        friction = np.array([np.minimum(f.required_friction, 2 * limits.friction) for f in frames])
+        strain = np.array([f.max_strain for f in frames])
+        known_to = _known_to(float(friction.max()), FRICTION_TOLERANCE, limits.friction)
+        looks = [(friction[:, 0], known_to), (friction[:, 1], known_to)]
+        known_to = _known_to(self.max_strain, STRAIN_TOLERANCE * self.max_strain, limits.strain)
+        looks.append((strain, known_to))
+        for values, most in looks:
+            if (doubt := doubtful(at, values, most)) is not None:
+                return begin + doubt + 1
+        hidden = len(frames) - (found == "ok")  # that the last one is seen is known
+        clearance = np.array([f.clearance for f in frames[:hidden]])
+        doubt = doubtful(at[:hidden], clearance, limits.clearance + ON_TIME)
+        return None if doubt is None else begin + doubt + 1
+
+    def _lying(self, state: TissueState) -> float:
+        """Part of the flap's length that lies on the bed."""
+        if not self.scene.bed:
+            return 0.0
+        assert self.physics is not None
+        section = self.physics.section
+        low = state.points[section.bottom, 1] < 0
+        return float(section.bottom_length[low].sum()) / self.scene.tissue.length
+
+
+def _known_to(greatest: float, tolerance: float, limit: float) -> float:
+    """What a quantity may reach unseen: within the tolerance, but never past its limit."""
+    return greatest + tolerance if greatest > limit else min(greatest + tolerance, limit)

@@ -7,23 +7,31 @@ judges it at the scene's own limits.
 from __future__ import annotations
 
 import math
+import reprlib
 from collections.abc import Callable
 from dataclasses import fields
+from typing import Any
 
 from planners.certify.certificate import REASONS, Certificate
-from planners.certify.retraction import Retraction
+from planners.certify.retraction import FRICTION_TOLERANCE, STRAIN_TOLERANCE, Retraction
 from retract_env.grasp import Grasp, JawPath
 from retract_env.scene import Scene
 
 FINER = {"coarse": "medium", "medium": "fine", "fine": "finer"}
+VERIFIED_IN = 4
+"""Parts of an increment when a certificate is verified."""
+ROUNDING = 1e-6
+"""Between the same retraction on two machines, as a part, or in SI units; on one machine there is none."""
 
 
 class Trial(Retraction):
     """A retraction at the scene's own limits: the only one that ends in a certificate."""
 
-    def __init__(self, scene: Scene, grasp: Grasp, path: JawPath, resolution: str = "fine"):
-        """Raises ValueError as a Retraction."""
-        super().__init__(scene, grasp, path, resolution)
+    def __init__(
+        self, scene: Scene, grasp: Grasp, path: JawPath, resolution: str = "fine", division: int = 1
+    ):
+        """division: of each increment. Raises ValueError as a Retraction."""
+        super().__init__(scene, grasp, path, resolution, division=division)
 
     def certificate(self) -> Certificate:
         """The verdict, once the trial has ended."""
@@ -57,9 +65,30 @@ class Trial(Retraction):
             grasp={"x": self.grasp.x, "compression": self.grasp.compression},
             path={"kind": self.path.kind, "end": frames[-1].progress},
             history=history,
+            peaks=self._peaks(),
+            clearance_limit=limits.clearance,
             frames=tuple(frames),
             section=self.physics.section,
         )
+
+    def _peaks(self) -> dict[str, Any]:
+        """Where the greatest strain and friction are."""
+        strained = max(self.frames, key=lambda f: f.max_strain)
+        moved = [f for f in self.frames if f.progress >= 1]
+        gripped = max(moved, key=lambda f: float(f.required_friction.max()), default=None)
+        return {
+            "strain": {"progress": strained.progress, "place": strained.worst_at.tolist()},
+            "friction": None
+            if gripped is None
+            else {
+                "progress": gripped.progress,
+                "jaw": ("lower", "upper")[int(gripped.required_friction.argmax())],
+            },
+            # m^2 of the section, covered twice beside a jaw's edge
+            "crease": max(f.crease for f in self.frames),
+            "strain_tolerance": STRAIN_TOLERANCE,
+            "friction_tolerance": FRICTION_TOLERANCE,
+        }
 
 
 def certify(
@@ -72,7 +101,8 @@ def certify(
 ) -> Certificate:
     """Simulate one retraction and judge it.
 
-    resolution: a name in RESOLUTIONS; verify: repeat it on a finer mesh and report the differences.
+    resolution: a name in RESOLUTIONS; verify: repeat it on a finer mesh in `VERIFIED_IN` times as many
+    increments and report the differences.
     Raises ValueError for a grasp off the flap, a path that does not begin there, or an unknown resolution,
     and its kind MeshError where the flap with jaws there cannot be meshed.
     """
@@ -88,11 +118,15 @@ def certify(
 
 
 def verified(certificate: Certificate, scene: Scene, grasp: Grasp, path: JawPath) -> Certificate:
-    """The certificate with the differences to the same retraction on the next finer mesh."""
-    finer = certify(scene, grasp, path, FINER[certificate.mesh["resolution"]])
+    """The certificate with the differences to the same retraction on the next finer mesh, in finer steps."""
+    trial = Trial(scene, grasp, path, FINER[certificate.mesh["resolution"]], VERIFIED_IN)
+    trial.squeeze()
+    trial.move()
+    finer = trial.certificate()
     differences = {
         "resolution": finer.mesh["resolution"],
         "nodes": finer.mesh["nodes"],
+        "increments": finer.increments,
         "reason": finer.reason,
         "max_strain": finer.max_strain,
         "max_strain_difference": _ratio(certificate.max_strain, finer.max_strain) - 1,
@@ -106,3 +140,28 @@ def verified(certificate: Certificate, scene: Scene, grasp: Grasp, path: JawPath
 
 def _ratio(a: float, b: float) -> float:
     return a / b if b else math.nan  # a finer flap that found no rest has no strain
+
+
+def differences(said: Certificate, found: Certificate) -> list[str]:
+    """What one certificate says otherwise than another, a line a field; numbers may differ by `ROUNDING`."""
+    one, other = said.to_json(), found.to_json()
+    return [
+        line
+        for name in sorted(one.keys() & other.keys() - {"hash"})
+        for line in _apart(name, one[name], other[name])
+    ]
+
+
+def _apart(name: str, said: Any, found: Any) -> list[str]:
+    if isinstance(said, dict) and isinstance(found, dict) and said.keys() == found.keys():
+        return [line for key in said for line in _apart(f"{name}.{key}", said[key], found[key])]
+    if isinstance(said, list) and isinstance(found, list) and len(said) == len(found):
+        lines = (_apart(f"{name}[{i}]", a, b) for i, (a, b) in enumerate(zip(said, found, strict=True)))
+        return next((line for line in lines if line), [])  # one of a history says it
+    numbers = all(isinstance(v, int | float) and not isinstance(v, bool) for v in (said, found))
+    same = math.isclose(said, found, rel_tol=ROUNDING, abs_tol=ROUNDING) if numbers else said == found
+    return [] if same else [f"{name} = {_brief(said)}, recomputed {_brief(found)}"]
+
+
+def _brief(value: Any) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else reprlib.repr(value)

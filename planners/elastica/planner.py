@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 TRIED_ON = "coarse"
 ROUNDS = 3
-"""Optima at most, each tried to correct the next one."""
+"""Optima for one grasp, at most; the coarse trial of each corrects the next."""
 ENOUGH = (1 + RESERVE) / 2
 """Part of the friction limit that a trial may need; finer meshes need up to 4 % more."""
 FIRMER = 1.05

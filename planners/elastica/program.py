@@ -49,13 +49,13 @@ CLEAR = 0.005
 RESERVE = 0.92
 """Part of the friction limit that the program uses."""
 GRIPS = (0.005, 0.45)
-"""Compression over h."""
+"""Least and greatest compression, over h."""
 REACH = (0.2, 0.2, 0.7)
 """Farthest from one pose to the next: x and y in flap lengths, angle in rad."""
 NORM = 4
 """The strains a of the grip and b of the rod act together beside the jaws: as (a^4 + b^4)^(1/4)."""
 SMOOTH = 1e-2
-"""Strain that the squared second differences of the poses weigh as much as (flap lengths, rad)."""
+"""Weight, beside the strain, of the poses' squared second differences (in flap lengths and rad)."""
 BED = 0.1
 """Stiffness of the bed per area, in E / h of the tissue; the paper's flap sinks in by one per cent of h."""
 TOUCH = 0.01

@@ -42,9 +42,10 @@ Array = NDArray[np.float64]
 
 KIND = "fem_gradient"
 TIMES = np.array([0, 1, 2, 4, 7, 10, 14, 18, 21, 24]) / 24
-"""Poses looked at, along the path from squeezed to exposed; the flap leaves its bed in the first ones."""
+"""Poses looked at, as parts of the way from squeezed to exposed: denser at first, when the flap leaves its
+bed."""
 OVERRUN = 1.25
-"""Where the path ends: it goes on past exposure, should it come late."""
+"""Where the path ends, on the same scale: past exposure, in case the target comes into view late."""
 
 TURN, STRETCH, PART, GRIP = 0, slice(1, 4), slice(4, 7), slice(7, 11)
 """Unknowns (11,): turn of the flap at the end, rad, and the coefficients, of Bernstein's polynomials in time,
@@ -55,15 +56,18 @@ UNITS = np.array([0.1, *[0.01] * 3, *[0.1] * 3, *[0.01] * 4])
 LOW = np.array([0.1, *[-0.1] * 3, *[0.0] * 3, *[0.005] * 4])
 HIGH = np.array([paths.MOST_TURN, *[0.3] * 3, *[1.5] * 3, *[0.45] * 4])
 ROUGHNESS = np.zeros((7, 11))
-"""Differences that straight paths do not have: of stretches (second), parts and compressions (first)."""
+"""Differences that vanish for an even path, as rows over the unknowns: second ones of the stretch, first ones
+of the jaws' part of the turn and of the compression."""
 ROUGHNESS[[0, 0, 1, 1, 1], [1, 2, 1, 2, 3]] = -2, 1, 1, -2, 1
 for _row, _first in enumerate((4, 5, 7, 8, 9), start=2):
     ROUGHNESS[_row, [_first, _first + 1]] = -1, 1
 
 STRAIN = 0.05
-"""Strain that counts as 1 in what is minimised; each unit of roughness counts as SMOOTH, of violation as
-PENALTY."""
-SMOOTH, PENALTY = 2e-3, 10.0
+"""Strain that counts as 1 in what is minimised."""
+SMOOTH = 2e-3
+"""What one unit of roughness counts there."""
+PENALTY = 10.0
+"""What one unit of a violated constraint counts there."""
 CLEAR = 1e-3
 """Clearance asked for at the end, over the flap's length."""
 CLEARANCE = 0.1
@@ -72,30 +76,30 @@ RESERVE, ENOUGH = 0.93, 0.95
 """Part of the friction limit that the program uses, and that the certified path may need: between poses it
 needs a little more."""
 KEPT = 8
-"""Points that are strained most are kept, of this many times the volume that counts."""
+"""The points strained most are kept, up to this many times the volume that eps_1% is the mean of."""
 IN_QUESTION = 0.6
 """Poses strained less than this part of the greatest cannot become the worst in one step."""
 LOWEST = 40
-"""Nodes whose clearance is looked at."""
+"""Nodes whose clearance is looked at, those that have least of it."""
 GAIN = 4e-3
-"""The program is solved once the linear one promises less than this."""
+"""The search ends once the linear program promises to gain less than this."""
 STEPS = 8
-"""at most"""
+"""Steps of the search, at most."""
 RADIUS, SMALLEST_RADIUS = 2.0, 0.02
-"""of the trust region, in UNITS"""
+"""Size of the trust region at first, and below which the search ends; in UNITS."""
 CUTS, GAP = 40, 5e-4
 """Rounds of cutting planes, at most, and how far from the best step they may end."""
 HOLDS = 0.02
-"""Violation, in parts of the greatest jaw force, with which a path still counts as one that holds."""
+"""A path counts as one that holds up to this violation, as a part of the greatest jaw force."""
 
 ASIDE = (-0.05, 0.0, 0.05)
-"""Where the grasp is tried, over the length, from where `eased` has it."""
+"""Shifts of the grasp, over the length, from the place that `eased` finds; all are tried."""
 SEARCHED_ON = "coarse"
 POLISHED = 1
 """Best places of the coarse mesh that are improved further on the mesh that certifies; a second one costs as
 much again and gains less than 1 %."""
 CORRECTIONS = 2
-"""Times that a path which needs too much friction is improved with less friction to use."""
+"""How often a path that needs too much friction is improved again, each time allowed less of it."""
 
 
 def motion(scene: Scene, x: float, unknowns: Array, times: Array) -> Array:
@@ -222,6 +226,8 @@ class Program:
         that were greatest where its earlier answers led, until no other is greater by more than GAP. Its
         columns: step, greatest strain, greatest violation, roughness.
         """
+        from scipy.optimize import linprog  # takes as long to import as all of this package
+
         slopes = motion_slope(self.scene, self.x, self.unknowns, TIMES)
         poses = self._strained(slopes)
         slack, slack_slope = self._constraints(slopes)
@@ -233,8 +239,6 @@ class Program:
         cost = np.array([*[0.0] * 11, 1.0, PENALTY, *[SMOOTH] * lines])
         low, high = np.zeros(len(cost)), np.full(len(cost), np.inf)
         low[:11] = np.maximum(-radius, (LOW - self.unknowns) / UNITS)
-        from scipy.optimize import linprog  # takes as long to import as all of this package
-
         high[:11] = np.minimum(radius, (HIGH - self.unknowns) / UNITS)
         best, best_step, at = math.inf, np.zeros(11), np.zeros(len(cost))
         for _ in range(CUTS):

@@ -22,11 +22,11 @@ from retract_env.physics.fem import FemPhysics
 Array = NDArray[np.float64]
 
 TURN = 1e-5
-"""rad and, over the height, m: by how much the jaws are moved to see how the nodes that they hold move. What
-central differences leave out is 1e-11 of it."""
+"""How far the jaws are turned, rad, and moved, over the height, to see how the nodes that they hold move. The
+error of these central differences is 1e-11 of the result."""
 NUDGE = 1e-6
-"""over the height, how far nodes are moved at most to see how strain changes. Strain is a smooth function of
-displacements, but for those that change which 1 % of volume is strained most."""
+"""The farthest that nodes are moved, over the height, to see how strain changes. Strain is a smooth function
+of the displacements, except where they change which 1 % of the volume is strained most."""
 SMALLEST_PART = 1 / 16
 """Part of a step of the jaws below which it is not cut any further."""
 
@@ -109,7 +109,7 @@ class Sensitivity:
         model, equilibrium = self.model, self._equilibrium
         u = u.copy()
         model.place_jaws(u, to_jaws(pose))
-        equilibrium.usable = False  # nothing depends on what was asked before
+        equilibrium.forget()
         u, force = equilibrium.solve(u)
         shifts = equilibrium.counts["shifts"]
         equilibrium.factorize(u)

@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 STEPS = 64
-"""Steps that a curve has room for; where there are more, it is squeezed together."""
+"""Steps that a curve has room for; the curve of a longer episode is drawn narrower to fit."""
 ROOM = 1.3
-"""Top of a gauge, over its limit."""
+"""Value at the top of a gauge, as a multiple of its limit."""
 
 Box = tuple[float, float, float, float]
 """Left, top, right, bottom, px."""

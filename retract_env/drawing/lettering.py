@@ -7,7 +7,8 @@ import pygame
 from retract_env.drawing.palette import INK, rgb
 
 FINER = 4
-"""Letters are drawn so many times larger and shrunk: small ones are fitted to pixels and stand unevenly."""
+"""Letters are drawn this many times as large and then shrunk: pygame fits small letters to whole pixels,
+which spaces them unevenly."""
 
 
 class Lettering:

@@ -21,7 +21,7 @@ Ints = NDArray[np.intp]
 Floats32 = NDArray[np.float32]
 
 EDGE = 1e-6
-"""px by which triangles overlap, lest rounding leave a gap between neighbours."""
+"""px by which triangles overlap, so that rounding leaves no gap between neighbours."""
 
 
 class Canvas:

@@ -34,11 +34,13 @@ DRAWN_WIDTH = 640
 STRIP, GROUND_ROWS = 92, 28
 """px, heights of the strip and of the bed above it."""
 LETTERS = 15.5
+"""px, height of a line of text."""
 LEAST = 160
+"""px, smallest width and height of a frame whose text can be read."""
 FINER = 3
-"""Pixels of the small picture are means over as many, squared."""
+"""Each pixel of the small picture is the mean of FINER x FINER drawn ones."""
 SMALL_RIGHT, SMALL_BED = 0.2, 0.07
-"""What a small picture shows behind the fixed end over the flap's length, and of the bed over its height."""
+"""What a small picture shows behind the fixed end, over the flap's length; the bed's part of its height."""
 
 
 class SectionRenderer:

@@ -24,6 +24,7 @@ from retract_env.drawing.palette import (
     rgb,
 )
 from retract_env.drawing.raster import Canvas
+from retract_env.drawing.shapes import sight_reach
 
 if TYPE_CHECKING:
     from retract_env.scene import Scene
@@ -75,7 +76,10 @@ class Scenery:
         self._distance = float(np.hypot(*climb))
         self.away: Array = climb / self._distance * (1, -1)  # from B to A, on the picture
         self._target = view(target)
-        self.sight_end: Array = self._target + self.away * self._visible_length()
+        inside = 12 * unit
+        up = (1, -1)  # pixels go down
+        reach = sight_reach(self._target * up, self.away * up, self._distance * view.scale, inside, -inside)
+        self.sight_end: Array = self._target + self.away * reach
         self._draw_behind()
         self._still: Bytes = self.canvas.image.copy()
 
@@ -84,7 +88,7 @@ class Scenery:
         self._still = self.canvas.image.copy()
 
     def begin(self) -> None:
-        """Clear the stage, down to the bed, which `cover` draws."""
+        """Wipe off the last state, above the bed; `cover` draws the bed again."""
         np.copyto(self.canvas.image[: self.view.bed], self._still[: self.view.bed])
 
     def cover(self, seen: Array) -> None:
@@ -101,14 +105,6 @@ class Scenery:
         canvas.stroke([self._target, self.sight_end], sight, 1.8 * unit)
         for colour, radius in ((WHITE, 5.2 * unit), (SIGHT, 4.0 * unit)):
             canvas.stroke([self._target, self._target], rgb(colour), 2 * radius)
-
-    def _visible_length(self) -> float:
-        """px from B along AB to the camera or to where the picture ends."""
-        inside = 12 * self.unit
-        room = [self._distance * self.view.scale, (self._target[1] - inside) / -self.away[1]]
-        if self.away[0] < 0:
-            room.append((self._target[0] - inside) / -self.away[0])
-        return float(min(room))
 
     def _draw_behind(self) -> None:
         canvas, view, unit = self.canvas, self.view, self.unit

@@ -123,6 +123,19 @@ def hidden_region(outline: Array, camera: ArrayLike) -> Array:
     return np.vstack((outline[: first + 1], [(hits[first], 0.0)]))
 
 
+def sight_reach(target: ArrayLike, away: ArrayLike, distance: float, left: float, top: float) -> float:
+    """How much of the line of sight a picture shows from B on: up to A, or to a border of the picture.
+
+    target: B (2,); away: (2,) unit, from B to A; distance of the two; borders x = left and y = top. All in
+    the same unit, y up.
+    """
+    (x, y), (across, up) = np.asarray(target, np.float64).tolist(), np.asarray(away, np.float64).tolist()
+    room = [distance, (top - y) / up]
+    if across < 0:
+        room.append((left - x) / across)
+    return float(min(room))
+
+
 class JawShapes:
     """Two rounded pads outside the tissue, as wide as a jaw patch, and the gripper's fingers behind them."""
 

@@ -1,4 +1,4 @@
-"""What is drawn of an episode: frames, small images, the window. The first of them imports pygame."""
+"""Pictures of an episode: frames, small images, a window. pygame is imported when the first is drawn."""
 
 from __future__ import annotations
 
@@ -25,12 +25,16 @@ PIXELS = (96, 96)
 
 
 class Stage:
-    """Draws the episodes of one environment, and keeps what can be used again."""
+    """Draws the episodes of one environment, and keeps the last renderer and the last flap at rest.
+
+    A copy of it, also a pickled one, is as good and begins with neither, and without a window.
+    """
 
     def __init__(self, camera: str, fps: float):
         """camera: "section", or "3d" for Bullet's own picture, which begins when the jaws have closed."""
         self.camera, self.fps = camera, fps
         self._kept: tuple[Scene, SectionMesh, SectionRenderer] | None = None
+        self._at_rest: tuple[Scene, SectionMesh] | None = None
         self._window: Window | None = None
 
     def frame(self, episode: Episode) -> Bytes:
@@ -60,16 +64,25 @@ class Stage:
         if self._kept is not None:
             self._kept[2].close()
             self._kept = None
+        self._at_rest = None
         if self._window is not None:
             self._window.close()
             self._window = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_kept": None, "_at_rest": None, "_window": None}
+
+    def _rest_mesh(self, scene: Scene) -> SectionMesh:
+        if self._at_rest is None or self._at_rest[0] != scene:
+            self._at_rest = scene, rest_mesh(scene)
+        return self._at_rest[1]
 
     def _drawn(self, episode: Episode) -> tuple[SectionRenderer, TissueState]:
         """The renderer of the mesh as it is now, and the state on it."""
         from retract_env.drawing.renderer import SectionRenderer
 
         scene, now = episode.task.scene, episode.now
-        section = now.section if now.holding else rest_mesh(scene)
+        section = now.section if now.holding else self._rest_mesh(scene)
         if self._kept is None or self._kept[0] is not scene or self._kept[1] is not section:
             self._kept = scene, section, SectionRenderer(scene, section, FRAME)
         return self._kept[2], now.state if now.holding else rest_state(scene, section)

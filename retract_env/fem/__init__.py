@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
 
+def kernels_are_cached(physics: str = "fem") -> bool:
+    """Whether numba has on disk, compiled for this processor from these sources, what a physics needs of the
+    kernels; where not, the first use compiles them, which takes some ten seconds.
 
-def kernels_are_cached() -> bool:
-    """Whether numba finds the kernels compiled on disk, by this Python and from these sources.
-
-    Where not, the first use compiles them, which takes some 20 s.
+    physics: any but "fem" needs the residual alone, which measures its states.
     """
+    from numba.core.registry import cpu_target
+
     from retract_env.fem import kernels
 
-    newest = Path(kernels.__file__).stat().st_mtime
-    python = f"py{sys.version_info[0]}{sys.version_info[1]}"
-    found = Path(kernels.tangent.stats.cache_path).glob(f"kernels.tangent-*.{python}*.nbi")
-    return any(index.stat().st_mtime >= newest for index in found)
+    # numba has no public way to ask. Its index is empty where it is of other sources or of another numba;
+    # an entry's key is a signature, the processor, and hashes of the code.
+    kernel = kernels.tangent if physics == "fem" else kernels.residual
+    here = cpu_target.target_context.codegen().magic_tuple()
+    return any(key[1] == here for key in kernel._cache._cache_file._load_index())

@@ -1,7 +1,8 @@
 """First guess of how a flap follows its jaws: as a beam, whose sections turn and stay plane.
 
-The tangent's guess is straight: where jaws turn by 6 degrees, it stretches by 0.5 % what ought to turn.
-Turning sections by finite angles costs no factorisation and leaves a residual that one factorisation settles.
+The tangent guesses that nodes move straight: where jaws turn by 6 degrees, it stretches tissue by 0.5 % that
+only turns. Turning the sections by finite angles needs no factorisation, and one factorisation then corrects
+what is left.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ Array = NDArray[np.float64]
 SECTIONS = 65
 """Sections between the fixed end and the jaws."""
 ROUNDS = 6
-"""of Newton's method for bend and stretch, which converges in three or four"""
+"""Iterations of Newton's method for bend and stretch, at most; it converges in three or four."""
 
 
 class BeamGuess:
@@ -62,7 +63,7 @@ class BeamGuess:
         out = u.copy()
         for level in range(self._prism.levels):
             moved = after + _turned(self._level(u, level) - before, angle)
-            out.reshape(-1, self._prism.stride)[:, 2 * level : 2 * level + 2] = moved - self._rest
+            self._prism.in_plane(out, level)[:] = moved - self._rest
         return out
 
     @property
@@ -70,7 +71,7 @@ class BeamGuess:
         return self._prism.section.points
 
     def _level(self, u: Array, level: int) -> Array:
-        return self._rest + u.reshape(-1, self._prism.stride)[:, 2 * level : 2 * level + 2]
+        return self._rest + self._prism.in_plane(u, level)
 
 
 def _interpolated(at: Array, known: Array, values: Array) -> Array:

@@ -120,8 +120,7 @@ class FlapModel:
 
     def positions(self, u: Array, level: int = 0) -> Array:
         """(n, 2) m, section nodes of one depth level."""
-        columns = u.reshape(-1, self.prism.stride)[:, 2 * level : 2 * level + 2]
-        return self.section.points + columns
+        return self.section.points + self.prism.in_plane(u, level)
 
 
 @njit(cache=True, nogil=True)

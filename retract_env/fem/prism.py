@@ -113,6 +113,10 @@ class Prism:
         """Unknowns u_z; level 0 has none."""
         return self._at(nodes, 2 * self.levels + np.asarray(levels) - 1)
 
+    def in_plane(self, u: Array, level: int) -> Array:
+        """u_x and u_y (nodes, 2) of all section nodes on one level: a view into u (n,)."""
+        return u.reshape(-1, self.stride)[:, 2 * level : 2 * level + 2]
+
     def _at(self, nodes: AnyInts, offset: AnyInts) -> Ints:
         nodes = np.asarray(nodes)
         return (

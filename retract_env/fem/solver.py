@@ -20,14 +20,13 @@ from retract_env.objectives import WORST_FRACTION
 Array = NDArray[np.float64]
 
 STRAIN_TOLERANCE = 1e-5
-"""The error that is left has no more energy than this strain has in the worst-strained 1 % of the flap's
-volume."""
+"""Newton stops once the error's energy is below that of this strain in 1 % of the flap's volume."""
 MOST_SHIFTS = 20
 """Tries to make a tangent positive definite, each with ten times the shift of the one before."""
 SLOW = 0.7
-"""Factorise anew once an iteration shrinks the residual by less than this."""
+"""An iteration that leaves more than this part of the residual is followed by a new factorisation."""
 MEMORY = 6
-"""Steps from which an old factorisation learns how the tangent has changed."""
+"""Latest steps with which L-BFGS corrects an old factorisation."""
 
 
 class Equilibrium:
@@ -37,14 +36,19 @@ class Equilibrium:
         self.model = model
         self.max_iterations = max_iterations
         self.factor: Factor = cholesky(model.assembly.indptr, model.assembly.indices)
-        self.fresh = False
-        self.usable = False
+        self._fresh = False  # made at the displacements where the solution stands now
+        self._usable = False
         self._pairs: list[tuple[Array, Array, float]] = []
         self.counts: Counter[str] = Counter()
         tissue = model.scene.tissue
         half_volume = tissue.length * tissue.height * tissue.depth / 2
         self._tolerance = STRAIN_TOLERANCE**2 * tissue.modulus * WORST_FRACTION * half_volume
         self._diagonal = model.assembly.indptr[:-1]
+
+    def forget(self) -> None:
+        """Let the next solution begin with a factorisation of its own: it then depends on nothing that was
+        solved before, not even in its last bit."""
+        self._usable = False
 
     def factorize(self, u: Array) -> None:
         """Factorise the tangent at u, shifted until it is positive definite (then the step only descends)."""
@@ -55,7 +59,7 @@ class Equilibrium:
                 self.counts["factorisations"] += 1
                 self.factor.factorize(values)
                 self._pairs = []
-                self.fresh = self.usable = True
+                self._fresh = self._usable = True
                 return
             except NotPositiveDefinite:
                 self.counts["shifts"] += 1
@@ -67,7 +71,7 @@ class Equilibrium:
     def step(self, u: Array, du_driven: Array) -> Array:
         """First-order change of the free unknowns when the driven ones change by du_driven (n,), from the
         tangent at u."""
-        if not self.usable:
+        if not self._usable:
             self.factorize(u)
         force = self.model.tangent_times(u, du_driven)
         du = du_driven.copy()
@@ -86,8 +90,8 @@ class Equilibrium:
         if not np.isfinite(energy):
             raise Diverged("the first guess turns elements inside out")
         norm = _norm(force[free])
-        self.fresh = False
-        if not self.usable:
+        self._fresh = False
+        if not self._usable:
             self.factorize(u)
         for _ in range(self.max_iterations):
             self.counts["iterations"] += 1
@@ -104,7 +108,7 @@ class Equilibrium:
                     break
                 if -slope < 1e-6 * tolerance:  # at the limit of arithmetic
                     return u, force
-                if not self.fresh:
+                if not self._fresh:
                     length = 0.0
                     break
                 length *= 0.5
@@ -123,7 +127,7 @@ class Equilibrium:
             if rate > SLOW or length < 1.0:
                 self.factorize(u)
             else:
-                self.fresh = False
+                self._fresh = False
         raise Diverged(f"no equilibrium in {self.max_iterations} iterations")
 
     def _descent(self, force: Array) -> Array:

@@ -41,10 +41,18 @@ class TissueState:
     """m, signed distance of the lowest tissue node to AB; negative while tissue lies below it."""
     progress: float
     """How far along the path, in waypoints; 0 at rest, 1 squeezed."""
+    crease: float = 0.0
+    """m^2, of the section, that tissue covers twice: nothing keeps it from passing through itself."""
+    overlap: bool = False
+    """Whether that is more than a jaw's sharp edge explains, or tissue lies inside the block that holds the
+    fixed end."""
 
 
 class Physics(Protocol):
-    """One flap and the two jaws that hold it; made from (scene, jaw_x in m, resolution)."""
+    """One flap and the two jaws that hold it; `registry.PhysicsKind.source` says how it is made.
+
+    After `reset` the same moves lead to the same states, to the last bit: copies of an episode rely on it.
+    """
 
     @property
     def section(self) -> SectionMesh:

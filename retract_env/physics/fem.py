@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import time
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +30,7 @@ SMALLEST_CUT = 1 / 64
 FIRST_PART = 0.3
 """Part of a step that is tried first after a corner of the path."""
 MEMORY = 4
-"""Equilibria that the extrapolating predictor looks back on."""
+"""Latest equilibria of a path that the next one is extrapolated from."""
 
 
 class FemPhysics:
@@ -39,6 +40,8 @@ class FemPhysics:
     still the last good one.
     """
 
+    resolutions: ClassVar[tuple[str, ...]] = tuple(RESOLUTIONS)
+
     def __init__(
         self,
         scene: Scene,
@@ -46,8 +49,9 @@ class FemPhysics:
         resolution: str | Resolution = "fine",
         stop_when: Callable[[TissueState], bool] | None = None,
     ):
-        """jaw_x: m, where the jaws grasp; stop_when: asked after each part of a move that has to be cut, and
-        where it says so the move ends there. Raises MeshError, and ValueError for an unknown resolution."""
+        """jaw_x: m, where the jaws grasp; stop_when: called with the state after each part of a move
+        that has to be cut; the move ends there if it returns True. Raises MeshError, and ValueError for an
+        unknown resolution."""
         if isinstance(resolution, str):
             if resolution not in RESOLUTIONS:
                 raise ValueError(f"resolution = {resolution!r}, allowed {', '.join(RESOLUTIONS)}")
@@ -92,11 +96,11 @@ class FemPhysics:
         start = time.perf_counter()
         try:
             if self._rest is None:
-                self.equilibrium.usable = False
+                self.equilibrium.forget()
                 self._rest = self.equilibrium.solve(self._u)
         finally:
             self.seconds["equilibrium"] += time.perf_counter() - start
-        self.equilibrium.usable = False  # what follows depends on nothing before, not even in its last bit
+        self.equilibrium.forget()
         self._u, self._force = self._rest
         self._history.append((0.0, self._u))
         return self.state()
@@ -136,8 +140,40 @@ class FemPhysics:
         self._pose = pose
         return self.state()
 
+    def between(
+        self, known: Sequence[tuple[float, Array]], start: Array, pose: Array, progress: float
+    ) -> tuple[TissueState, Array]:
+        """The state at a pose (4,) between known equilibria, and its displacements (n,) m.
+
+        known: progress, ascending, and displacements of at least two, on both sides; start: pose (4,) of the
+        last one before. Where the state does not follow from both sides, as where the flap snaps over, the
+        jaws go there from the earlier one. The flap itself stays where it is. Raises Diverged.
+        """
+        kept = self._u, self._force, self._pose, self._progress, self._history
+        try:
+            nearest = sorted(known, key=lambda k: abs(k[0] - progress))[:MEMORY]
+            self._history = sorted(nearest, key=lambda k: k[0])
+            u = self._extrapolate(progress)
+            self.model.place_jaws(u, to_jaws(pose))
+            try:
+                self._u, self._force = self.equilibrium.solve(u)
+                self._pose, self._progress = pose, progress
+            except Diverged:
+                self.resume(start, *max((k for k in known if k[0] < progress), key=lambda k: k[0]))
+                self.move_to(pose, progress)
+            return self.state(), self._u
+        finally:
+            self._u, self._force, self._pose, self._progress, self._history = kept
+
+    def resume(self, pose: Array, progress: float, u: Array) -> None:
+        """Go back to an equilibrium, at a pose (4,), whose displacements u (n,) m are known."""
+        self._u, self._force = u, self.model.residual(u)[1]
+        self._pose, self._progress = pose, progress
+        self._history = [(progress, u)]
+        self.equilibrium.forget()
+
     def close(self) -> None:
-        """Nothing is held that would not go by itself."""
+        """Nothing to give back: this physics holds only memory of Python's own."""
 
     def turn(self) -> None:
         """Say that the path has a corner here: what came before does not predict what follows."""
@@ -168,7 +204,7 @@ class FemPhysics:
             u[self.model.fixed] = 0.0  # not even rounding moves it
             self.model.place_jaws(u, jaws)
             if np.isfinite(self.model.residual(u)[0]):
-                self.equilibrium.usable = False
+                self.equilibrium.forget()
                 return u
         moved = self._u.copy()
         self.model.place_jaws(moved, jaws)

@@ -6,9 +6,10 @@ positions, by the finite-element kernels.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
@@ -17,7 +18,7 @@ from retract_env.fem.assembly import Assembly
 from retract_env.fem.elements import ElementBlock, lame
 from retract_env.fem.linear import Factor, cholesky
 from retract_env.mesh import SectionMesh
-from retract_env.objectives import clearance, required_friction, strain, worst_mean
+from retract_env.objectives import clearance, inside_block, required_friction, strain, worst_mean
 from retract_env.physics.base import TissueState
 from retract_env.scene import Scene
 
@@ -26,6 +27,14 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int32]
+
+IN_BLOCK = 1e-3
+"""Part of the height that tissue has to be inside the fixed block to count: nodes beside the fixed end keep
+off it by rounding alone."""
+EDGE = 0.2
+"""Over a jaw's width, side of the square that may be covered twice. Beside the sharp edge of a rigid patch
+the surface of a soft solid folds on the scale of the elements there; a real pad's edge is rounder than that.
+What covers more meets itself elsewhere, or so deeply that it matters."""
 
 
 def linear_tetrahedra(points: Array, cells: Ints, modulus: Array, poisson: Array) -> ElementBlock:
@@ -42,6 +51,49 @@ def linear_tetrahedra(points: Array, cells: Ints, modulus: Array, poisson: Array
     return ElementBlock.of(gradient, gradient, np.linalg.det(edges)[:, None] / 6, mu, lam, dofs)
 
 
+def outline_ring(section: SectionMesh) -> Ints:
+    """(r,) nodes of a section's outline in their order, counter-clockwise, the first not repeated."""
+    after = {int(a): (int(middle), int(b)) for a, middle, b in section.boundary}
+    node = begin = int(section.boundary[0, 0])
+    ring = []
+    while True:
+        middle, following = after[node]
+        ring += [node, middle]
+        node = following
+        if node == begin:
+            return np.array(ring, np.int32)
+
+
+def doubled(outline: Array) -> float:
+    """m^2, area that a closed outline (k, 2) m, counter-clockwise, covers more than once or inside out."""
+    ring = shapely.linearrings(outline)
+    if shapely.is_simple(ring):
+        return 0.0
+    closed = np.vstack([outline, outline[:1]])
+    area = 0.0
+    crossed: Any = shapely.node(ring)
+    for face in shapely.get_parts(shapely.polygonize([crossed])):
+        away = closed - shapely.get_coordinates(shapely.point_on_surface(face))
+        turned = np.unwrap(np.arctan2(away[:, 1], away[:, 0]))
+        if round((turned[-1] - turned[0]) / (2 * np.pi)) not in (0, 1):
+            area += float(shapely.area(face))
+    return area
+
+
+def tool_outline(scene: Scene, jaws: Array) -> Array:
+    """(16, 2) m, corners of both pads and stems, lower jaw first, for jaws (4,) m."""
+    how = scene.jaws
+    ends = jaws.reshape(2, 2)
+    axis = (ends[1] - ends[0]) / np.hypot(*(ends[1] - ends[0]))
+    across = np.array([axis[1], -axis[0]])
+    half, thin = how.width / 2, how.thickness / 4
+    corners = [(half, 0.0), (half, how.thickness), (thin, how.thickness), (thin, how.thickness + how.stem)]
+    points = []
+    for end, away in zip(ends, (-axis, axis), strict=True):
+        points += [end + side * a * across + b * away for a, b in corners for side in (-1, 1)]
+    return np.array(points)
+
+
 class Measures:
     """Measures a flap that is made of element blocks."""
 
@@ -55,6 +107,7 @@ class Measures:
         self._volume = share @ np.concatenate([w.sum(axis=1) for w in weights])
         # the triangle that has most of an element stands for its place
         self._triangle = np.asarray(share.tocsc().argmax(axis=0)).ravel()
+        self._ring = outline_ring(section)
 
     def state(
         self, u: Array, jaws: Array, reactions: Array, levels: list[Array], progress: float
@@ -71,6 +124,9 @@ class Measures:
         axis = (jaws[2:] - jaws[:2]) / np.hypot(*(jaws[2:] - jaws[:2]))
         normals = np.array([axis, -axis])
         line = self.scene.line_of_sight
+        height = self.scene.tissue.height
+        crease = max(doubled(p[self._ring]) for p in levels)
+        seen = [*levels, tool_outline(self.scene, jaws)] if self.scene.jaws.in_sight else levels
         return TissueState(
             points=levels[0],
             strain=(self._share @ total) / self._volume,
@@ -80,8 +136,11 @@ class Measures:
             max_strain=worst_mean(np.concatenate([s.ravel() for s in per_block]), self._points_volume),
             worst_at=self.section.corners[self._triangle[worst]].mean(axis=0),
             required_friction=required_friction(reactions, normals),
-            clearance=min(clearance(p, line.camera, line.target) for p in levels),
+            clearance=min(clearance(p, line.camera, line.target) for p in seen),
             progress=progress,
+            crease=crease,
+            overlap=crease > (EDGE * self.scene.jaws.width) ** 2
+            or any(inside_block(p, height, IN_BLOCK * height) for p in levels),
         )
 
 

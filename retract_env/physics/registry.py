@@ -1,81 +1,115 @@
-"""Physics by name, and the last few flaps kept for when an episode begins on one of them again."""
+"""Physics by name: what each is made with, its environment, what has to be installed for it.
+
+A physics is a class as `base.Physics` describes, in a file of its own. A line in `PHYSICS` adds it: the
+environments, recipes, benchmarks and the console list what they find there.
+"""
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
-from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 from retract_env.config import BULLET
-from retract_env.objectives import verdict
-from retract_env.physics.base import Physics, TissueState
-from retract_env.scene import Scene
 
-DEFAULT_RESOLUTION = {"bullet": "medium", "fem": "coarse"}
-"""Physics by name, and what each is made with unless told otherwise."""
+if TYPE_CHECKING:
+    from retract_env.physics.base import Physics, TissueState
+    from retract_env.scene import Scene
 
 
-def check_physics(name: str, resolution: str) -> None:
-    """Raise ValueError for an unknown name, ImportError where pybullet is missing, with what to install."""
-    if name not in DEFAULT_RESOLUTION:
-        raise ValueError(f"physics = {name!r}, allowed {', '.join(DEFAULT_RESOLUTION)}")
-    if name == "bullet":
-        if importlib.util.find_spec("pybullet") is None:
-            raise ImportError(
-                f'physics = "bullet" needs pybullet: {BULLET}; '
-                "TissueRetractFEM-v0, on the finite elements, needs nothing more"
-            )
-        from retract_env.physics.bullet.flap import BULLET_RESOLUTIONS
+@dataclass(frozen=True)
+class PhysicsKind:
+    """One way to compute how a flap behaves."""
 
-        allowed = list(BULLET_RESOLUTIONS)
-    else:
-        from retract_env.mesh import RESOLUTIONS
+    name: str
+    env_id: str
+    """Gymnasium's id of the environment that runs on it"""
+    source: str | Callable[..., Physics]
+    """The class, or "module:Class", which is imported when it is first needed. It is made with (scene, jaw_x,
+    resolution, stop_when=None), and its attribute `resolutions` lists the names that it takes."""
+    resolution: str
+    """what it is made with unless told otherwise"""
+    about: str
+    """in a few words, for messages"""
+    pictures: bool = False
+    """whether it draws itself, with a method render_3d(width, height)"""
+    needs: str = ""
+    """a package that has to be installed besides, if any"""
+    install: str = ""
+    """the command that installs it"""
 
-        allowed = list(RESOLUTIONS)
-    if resolution not in allowed:
-        raise ValueError(f"resolution = {resolution!r}, allowed {', '.join(allowed)}")
+    def load(self) -> Any:
+        """The class."""
+        if not isinstance(self.source, str):
+            return self.source
+        module, _, name = self.source.partition(":")
+        return getattr(importlib.import_module(module), name)
 
+    @property
+    def resolutions(self) -> tuple[str, ...]:
+        """Names of the meshes that it can be made with."""
+        return tuple(self.load().resolutions)
 
-def make_physics(name: str, scene: Scene, jaw_x: float, resolution: str) -> Physics:
-    """One flap between jaws at jaw_x, m. Raises as its constructor; a move ends where a limit is broken."""
-    limits = scene.limits
+    @property
+    def missing(self) -> str:
+        """What an ImportError says where the package that it needs is not installed, in one line."""
+        others = [f"{kind.env_id}, on {kind.about}," for kind in PHYSICS.values() if not kind.needs]
+        instead = f"; {' or '.join(others)} needs nothing more" if others else ""
+        return f'physics = "{self.name}" needs {self.needs}: {self.install}{instead}'
 
-    def broken(state: TissueState) -> bool:
-        found = verdict(
-            state.max_strain, state.required_friction, state.clearance, limits.strain, limits.friction
-        )
-        return state.progress >= 1 and found not in (None, "ok")
+    def check(self, resolution: str) -> None:
+        """Raise ImportError where a package is missing, with the command that installs it, and ValueError for
+        an unknown resolution."""
+        if self.needs and importlib.util.find_spec(self.needs) is None:
+            raise ImportError(self.missing)
+        if resolution not in self.resolutions:
+            raise ValueError(f"resolution = {resolution!r}, allowed {', '.join(self.resolutions)}")
 
-    if name == "bullet":
-        from retract_env.physics.bullet.flap import BulletPhysics
+    def make(
+        self,
+        scene: Scene,
+        jaw_x: float,
+        resolution: str,
+        stop_when: Callable[[TissueState], bool] | None = None,
+    ) -> Physics:
+        """One flap between jaws at jaw_x, m. Raises as its constructor.
 
-        return BulletPhysics(scene, jaw_x, resolution, stop_when=broken)
-    from retract_env.physics.fem import FemPhysics
-
-    return FemPhysics(scene, jaw_x, resolution, stop_when=broken)
-
-
-class PhysicsPool:
-    """Gives out physics of one name and resolution, one at a time; the same flap and grasp the same again."""
-
-    def __init__(self, name: str, resolution: str, size: int = 2):
-        """size: flaps kept. Raises as `check_physics`."""
-        check_physics(name, resolution)
-        self.name, self.resolution, self.size = name, resolution, size
-        self._kept: OrderedDict[tuple[str, float], Physics] = OrderedDict()
-
-    def take(self, scene: Scene, jaw_x: float) -> Physics:
-        """The physics, to be reset before use; it is closed after `size` others were taken."""
-        key = scene.hash, jaw_x
-        if key in self._kept:
-            self._kept.move_to_end(key)
-            return self._kept[key]
-        physics = make_physics(self.name, scene, jaw_x, self.resolution)
-        self._kept[key] = physics
-        while len(self._kept) > self.size:
-            self._kept.popitem(last=False)[1].close()
+        stop_when: where a move cannot be made whole, it ends at the first state on its way that this is true
+        of.
+        """
+        physics: Physics = self.load()(scene, jaw_x, resolution, stop_when=stop_when)
         return physics
 
-    def close(self) -> None:
-        """Close all."""
-        while self._kept:
-            self._kept.popitem()[1].close()
+
+PHYSICS = {
+    kind.name: kind
+    for kind in (
+        PhysicsKind(
+            "bullet",
+            "TissueRetract-v0",
+            "retract_env.physics.bullet.flap:BulletPhysics",
+            resolution="medium",
+            about="a soft body of PyBullet",
+            pictures=True,
+            needs="pybullet",
+            install=BULLET,
+        ),
+        PhysicsKind(
+            "fem",
+            "TissueRetractFEM-v0",
+            "retract_env.physics.fem:FemPhysics",
+            resolution="coarse",
+            about="the finite elements",
+        ),
+    )
+}
+"""Every physics by its name; `retract_env.register_physics` adds those of other packages."""
+
+
+def physics_kind(name: str) -> PhysicsKind:
+    """The physics of that name. Raises ValueError with the names that there are."""
+    if name not in PHYSICS:
+        raise ValueError(f"physics = {name!r}, allowed {', '.join(PHYSICS)}")
+    return PHYSICS[name]

@@ -139,6 +139,8 @@ class Limits(_Part):
     """eps_L, bound of eps_1%."""
     friction: Annotated[float, Range(0.0, 5.0, "", "(]")] = 0.5
     """mu, Coulomb coefficient of jaw on tissue."""
+    clearance: Annotated[float, Range(0.0, 0.1, "m")] = 0.0
+    """m, how far above the line of sight all has to be at the end."""
 
 
 class Jaws(_Part):
@@ -148,6 +150,19 @@ class Jaws(_Part):
     """Along x, m; below a quarter of the flap's length."""
     depth: Annotated[float, Range(0.0, 0.5, "m", "(]")] | None = None
     """Along z, m, centred; None is the whole depth of the flap."""
+    in_sight: Flag = False
+    """Whether the tool hides the target as tissue does: pads and stems have to end above the line too."""
+    thickness: Annotated[float, Range(0.0, 0.02, "m", "(]")] = 1e-3
+    """m, of a pad, away from the tissue; it is as wide as the jaws."""
+    stem: Annotated[float, Range(0.0, 0.1, "m")] = 5e-3
+    """m, how far the stem reaches away from the tissue; it is half as wide as the pad is thick."""
+
+
+ADDED: dict[str, dict[str, Any]] = {
+    "limits": {"clearance": 0.0},
+    "jaws": {"in_sight": False, "thickness": 1e-3, "stem": 5e-3},
+}
+"""Fields that scenes have had since version 0.2, and their defaults, which leave a scene's hash as it was."""
 
 
 class Scene(_Part):
@@ -188,6 +203,10 @@ class Scene(_Part):
     def hash(self) -> str:
         """SHA-256, hex, of the values without the name; equal scenes on any machine have equal ones."""
         values = self.model_dump(mode="json", exclude={"name"})
+        for part, added in ADDED.items():
+            for name, default in added.items():
+                if values[part][name] == default:
+                    del values[part][name]
         return hashlib.sha256(json.dumps(values, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 

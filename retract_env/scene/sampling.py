@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
-from retract_env.errors import SceneError
+from pydantic import BeforeValidator
+
+from retract_env.config import Frozen, brief, refusal
+from retract_env.errors import ConfigError, SceneError
 from retract_env.scene import LineOfSight, Scene, Tissue, Vein
 from retract_env.scene.veins import MIN_GAP, Outline
 
@@ -14,36 +16,51 @@ if TYPE_CHECKING:
     import numpy as np
 
 
-@dataclass(frozen=True)
-class SceneRanges:
+def _ends(value: Any) -> Any:
+    """[least, greatest], from 0 upwards."""
+    numbers = isinstance(value, list | tuple) and all(
+        isinstance(end, int | float) and not isinstance(end, bool) for end in value
+    )
+    if not numbers or len(value) != 2 or not 0 <= value[0] <= value[1] < math.inf:
+        raise refusal(f" = {brief(value)}, allowed [least, greatest] from 0 upwards")
+    return value
+
+
+def _counts(value: Any) -> Any:
+    low, high = _ends(value)
+    if low != int(low) or high != int(high):
+        raise refusal(f" = {brief(value)}, not whole numbers")
+    return int(low), int(high)
+
+
+Ends = Annotated[tuple[float, float], BeforeValidator(_ends)]
+
+
+class SceneRanges(Frozen):
     """What `sample_scene` draws from: (least, greatest) each, uniform unless said otherwise."""
 
-    veins: tuple[int, int] = (0, 20)
-    """How many; both ends occur."""
-    vein_modulus: tuple[float, float] = (8e4, 4e5)
-    """Pa, log-uniform, for each vein."""
-    vein_width: tuple[float, float] = (0.25, 0.6)
-    """Along x, before tilting, as a fraction of the flap's height; shrinks where there is no room."""
-    vein_height: tuple[float, float] = (0.2, 0.55)
-    """Along y, likewise."""
-    tissue_modulus: tuple[float, float] = (4e4, 4e4)
-    """Pa, log-uniform."""
-    length: tuple[float, float] = (0.05, 0.05)
-    """m."""
-    height: tuple[float, float] = (4.4e-3, 4.4e-3)
-    """m."""
-    depth: tuple[float, float] = (4.4e-3, 4.4e-3)
-    """m."""
-    target: tuple[float, float] = (0.1, 0.4)
-    """Distance of B from the fixed end, as a fraction of the length."""
-    slope: tuple[float, float] = (math.radians(30.0), math.radians(70.0))
-    """Of the line of sight, rad."""
+    error_type: ClassVar[type[ConfigError]] = SceneError
 
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            low, high = getattr(self, field.name)
-            if not 0 <= low <= high < math.inf:
-                raise SceneError(f"{field.name} = ({low}, {high}), not a range from at least 0 upwards")
+    veins: Annotated[tuple[int, int], BeforeValidator(_counts)] = (0, 20)
+    """How many; both ends occur."""
+    vein_modulus: Ends = (8e4, 4e5)
+    """Pa, log-uniform, for each vein."""
+    vein_width: Ends = (0.25, 0.6)
+    """Along x, before tilting, as a fraction of the flap's height; shrinks where there is no room."""
+    vein_height: Ends = (0.2, 0.55)
+    """Along y, likewise."""
+    tissue_modulus: Ends = (4e4, 4e4)
+    """Pa, log-uniform."""
+    length: Ends = (0.05, 0.05)
+    """m."""
+    height: Ends = (4.4e-3, 4.4e-3)
+    """m."""
+    depth: Ends = (4.4e-3, 4.4e-3)
+    """m."""
+    target: Ends = (0.1, 0.4)
+    """Distance of B from the fixed end, as a fraction of the length."""
+    slope: Ends = (math.radians(30.0), math.radians(70.0))
+    """Of the line of sight, rad."""
 
 
 def sample_scene(rng: np.random.Generator, ranges: SceneRanges | None = None) -> Scene:

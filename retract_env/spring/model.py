@@ -32,7 +32,8 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 FLAT = 1e-10
-"""Differences of compliance below this part of its maximum are none; rounding over 10^5 edges is smaller."""
+"""Differences of compliance below this part of its maximum count as none: rounding over 10^5 edges stays
+below."""
 
 
 @dataclass(frozen=True)

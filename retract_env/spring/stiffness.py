@@ -33,7 +33,7 @@ Indices = NDArray[np.int64]
 GRID = 2.0**40
 """Vertices within length / GRID, 0.05 pm on 50 mm, share an abscissa; so no slope is too steep to compute."""
 STRAY = 1e-9
-"""Vertices may leave the flap by this fraction of its size, the rounding of whoever drew them."""
+"""Vertices may lie outside the flap by this fraction of its size, as those of a rounded drawing do."""
 
 
 class Stiffness:

@@ -1,37 +1,32 @@
-"""The task that agents learn: actions, observation, reward, end of an episode."""
+"""The task that agents learn: actions, observation, reward, end of an episode, and what users may change."""
 
-from retract_env.task.task import (
-    CAP,
+from retract_env.task.config import TaskConfig, Weights
+from retract_env.task.observation import (
     HIGH,
     KEYPOINTS,
     LAYOUT,
     LOW,
-    MAX_STEPS,
-    REWARD_RANGE,
     SIZE,
     SLICES,
     STIFFNESS_SAMPLES,
-    WEIGHTS,
-    RetractionTask,
-    Situation,
-    default_scene,
-    sound,
+    Sensors,
 )
+from retract_env.task.task import Outcome, RetractionTask, Situation, default_scene, sound
 
 __all__ = [
-    "CAP",
     "HIGH",
     "KEYPOINTS",
     "LAYOUT",
     "LOW",
-    "MAX_STEPS",
-    "REWARD_RANGE",
     "SIZE",
     "SLICES",
     "STIFFNESS_SAMPLES",
-    "WEIGHTS",
+    "Outcome",
     "RetractionTask",
+    "Sensors",
     "Situation",
+    "TaskConfig",
+    "Weights",
     "default_scene",
     "sound",
 ]

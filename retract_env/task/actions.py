@@ -11,16 +11,13 @@ from numpy.typing import ArrayLike, NDArray
 from retract_env.grasp import Grasp
 from retract_env.mesh import SLIVER
 from retract_env.scene import Scene
+from retract_env.task.config import TaskConfig
 
 Array = NDArray[np.float64]
 
 SIZE = 3
-STEP = np.array([2e-3, 2e-3, np.radians(6.0)])
-"""(3,) m, m, rad: how far -1 or 1 moves the gripper in x, in y and in its angle."""
-COMPRESSION = (0.02, 0.5)
-"""Least and greatest compression over the flap's height. The spring model's are at most half the strain limit
-(Eq. 5). Equal steps of the action are equal factors: needed friction goes with one over the compression, and
-the lightest grips that hold differ by that much."""
+"""numbers in an action"""
+DEFAULT = TaskConfig()
 
 
 def checked(action: ArrayLike) -> Array:
@@ -39,22 +36,22 @@ def checked(action: ArrayLike) -> Array:
     return np.clip(numbers, -1.0, 1.0)
 
 
-def grasp_range(scene: Scene) -> tuple[Array, Array]:
+def grasp_range(scene: Scene, config: TaskConfig = DEFAULT) -> tuple[Array, Array]:
     """Least and greatest (x, compression), (2,) m each, of a grasp whose jaws fit on the flap."""
     tissue, width = scene.tissue, scene.jaws.width
     # a hair inside what `mesh.patch_ends` accepts, for rounding
     nearest = -(0.5 + SLIVER) * width * (1 + 1e-6)
-    low, high = (share * tissue.height for share in COMPRESSION)
+    low, high = (share * tissue.height for share in config.compression)
     return np.array([-tissue.length, low]), np.array([nearest, high])
 
 
-def to_grasp(action: ArrayLike, scene: Scene) -> Grasp:
+def to_grasp(action: ArrayLike, scene: Scene, config: TaskConfig = DEFAULT) -> Grasp:
     """Grasp of a first action: -1 is the free end and least compression, 1 the fixed end and the greatest.
 
     In between, x goes linearly and the compression geometrically. The third number has no meaning. Raises
     ValueError as `checked`.
     """
-    (near, light), (far, firm) = (ends.tolist() for ends in grasp_range(scene))
+    (near, light), (far, firm) = (ends.tolist() for ends in grasp_range(scene, config))
     along, strength = ((checked(action)[:2] + 1) / 2).tolist()
     compression = min(
         max(light * (firm / light) ** strength, light), firm
@@ -62,22 +59,22 @@ def to_grasp(action: ArrayLike, scene: Scene) -> Grasp:
     return Grasp(near + along * (far - near), compression)
 
 
-def from_grasp(grasp: Grasp, scene: Scene) -> Array:
+def from_grasp(grasp: Grasp, scene: Scene, config: TaskConfig = DEFAULT) -> Array:
     """First action (3,) that takes this grasp, or the nearest one in range."""
-    (near, light), (far, firm) = (ends.tolist() for ends in grasp_range(scene))
+    (near, light), (far, firm) = (ends.tolist() for ends in grasp_range(scene, config))
     along = (grasp.x - near) / (far - near)
     strength = np.log(grasp.compression / light) / np.log(firm / light)
     return np.append(np.clip([2 * along - 1, 2 * strength - 1], -1.0, 1.0), 0.0)
 
 
-def to_pose(action: ArrayLike, pose: ArrayLike) -> Array:
+def moved(action: ArrayLike, pose: ArrayLike, config: TaskConfig = DEFAULT) -> Array:
     """Pose (4,) x, y, theta, separation that a move leads to; the separation stays. Raises as `checked`."""
-    return np.asarray(pose, np.float64) + np.append(checked(action) * STEP, 0.0)
+    return np.asarray(pose, np.float64) + np.append(checked(action) * config.move, 0.0)
 
 
-def from_pose(target: ArrayLike, pose: ArrayLike) -> Array:
+def move_towards(target: ArrayLike, pose: ArrayLike, config: TaskConfig = DEFAULT) -> Array:
     """Move (3,) from one pose (4,) to another, or as far towards it as one action leads."""
     change = (np.asarray(target, np.float64) - np.asarray(pose, np.float64))[:3]
     change[2] = np.pi - (np.pi - change[2]) % (2 * np.pi)  # the shorter way round
-    wanted = change / STEP
+    wanted = change / config.move
     return wanted / max(1.0, float(np.abs(wanted).max()))

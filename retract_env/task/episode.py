@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from retract_env.errors import Diverged, MeshError
 from retract_env.grasp import Grasp, JawPath, to_pose
 from retract_env.physics.base import Physics, TissueState
-from retract_env.physics.registry import PhysicsPool
+from retract_env.physics.pool import PhysicsPool
 from retract_env.scene import Scene
 from retract_env.spring import SpringModel
 from retract_env.task import RetractionTask, Situation, actions, sound
@@ -19,7 +20,11 @@ Array = NDArray[np.float64]
 
 
 class Episode:
-    """Actions to situations, through a physics."""
+    """Actions to situations, through a physics.
+
+    A copy, also a pickled one, goes on as the original does, to the last bit: it knows the moves made so far
+    and makes them again on a physics of its own before the next one.
+    """
 
     def __init__(self, task: RetractionTask, pool: PhysicsPool):
         self.task, self.pool = task, pool
@@ -29,14 +34,30 @@ class Episode:
         self.grasp: Grasp | None = None
         """what the jaws hold, None before they closed"""
         self.diverged = False
-        self.physics: Physics | None = None
+        self._physics: Physics | None = None
+        self._moves: list[tuple[Array, float | None]] = []
+        """poses that the jaws were sent to since the physics' reset, each with its progress"""
+
+    @property
+    def physics(self) -> Physics | None:
+        """That of the flap between the jaws, None before they closed."""
+        if self._physics is None and self.grasp is not None:
+            physics = self.pool.take(self.task.scene, self.grasp.x, self.task.stop_when)
+            physics.reset()
+            for move in self._moves:
+                physics.move_to(*move)
+            self._physics = physics
+        return self._physics
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_physics": None}
 
     def act(self, action: ArrayLike) -> None:
         """One step of the task: the grasp, then moves. Raises ValueError for what is no action."""
         if self.grasp is None:
-            self._close(actions.to_grasp(action, self.task.scene))
+            self._close(actions.to_grasp(action, self.task.scene, self.task.config))
         else:
-            self._move(actions.to_pose(action, to_pose(self.now.state.jaws)))
+            self._move(actions.moved(action, to_pose(self.now.state.jaws), self.task.config))
         self.now = replace(self.now, steps=self.now.steps + 1)
 
     def take(self, grasp: Grasp | None) -> None:
@@ -64,29 +85,30 @@ class Episode:
         grasp.check_inside(tissue.length, tissue.height)
         squeezed = np.array([grasp.x, tissue.height / 2, 0.0, tissue.height - grasp.compression])
         try:
-            self.physics = self.pool.take(self.task.scene, grasp.x)
-            self.physics.reset()
-            state = _sound(self.physics.move_to(squeezed, 1.0))
+            physics = self.pool.take(self.task.scene, grasp.x, self.task.stop_when)
+            physics.reset()
+            state = _sound(physics.move_to(squeezed, 1.0))
         except (Diverged, MeshError):
-            self.physics, self.diverged = None, True
+            self.diverged = True
             return
-        self.grasp = grasp
-        self._accept(state)
+        self.grasp, self._physics, self._moves = grasp, physics, [(squeezed, 1.0)]
+        self._accept(physics, state)
 
     def _move(self, pose: Array) -> None:
-        assert self.physics is not None
+        physics = self.physics
+        assert physics is not None
         try:
-            state = _sound(self.physics.move_to(pose))
+            state = _sound(physics.move_to(pose))
+            self._moves.append((pose, None))
         except Diverged:
             self.diverged = True
-            state = self.physics.state()
+            state = physics.state()
             if np.array_equal(state.jaws, self.now.state.jaws):
                 return
-        self._accept(replace(state, progress=self.history[-1].progress + 1))
+        self._accept(physics, replace(state, progress=self.history[-1].progress + 1))
 
-    def _accept(self, state: TissueState) -> None:
-        assert self.physics is not None
-        self.now = self.task.hold(self.now, self.physics.section, state)
+    def _accept(self, physics: Physics, state: TissueState) -> None:
+        self.now = self.task.hold(self.now, physics.section, state)
         self.history.append(state)
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 
 from retract_env.mesh import RESOLUTIONS, SectionMesh, section_mesh
@@ -46,7 +44,6 @@ def rest_state(scene: Scene, section: SectionMesh) -> TissueState:
     )
 
 
-@lru_cache(maxsize=4)
 def rest_mesh(scene: Scene) -> SectionMesh:
     """The flap with its veins before the jaws touch it, to be drawn. Raises MeshError."""
     return section_mesh(scene, None, RESOLUTIONS["coarse"])

@@ -6,29 +6,28 @@ import sys
 from dataclasses import replace
 
 from baselines.cli.app import main
-from baselines.paper.paths import FIG8, path_tasks
-from baselines.paper.report import paper_scene
-from baselines.paper.studies import STUDIES
-from baselines.paper.tasks import Task
-from retract_env.scene import Scene
+from baselines.paper.experiments import Experiment
+from baselines.paper.studies import STUDIES, fig8
+from baselines.paper.study import paper_scene
 
 SMALL = "fig8"
 GRASPS = (-0.04, -0.02)
 """m, some of the ten of Fig. 8"""
 
 
-def scenes() -> list[Scene]:
-    return [paper_scene("homogeneous"), paper_scene("homogeneous_near")]
-
-
-def small_tasks() -> list[Task]:
+def small_experiments() -> list[Experiment]:
     """Fig. 8 from a few grasps, 16 retractions."""
-    return [task for task in path_tasks(scenes()) if any(abs(task.label["x"] - x) < 1e-9 for x in GRASPS)]
+    scenes = [paper_scene("homogeneous"), paper_scene("homogeneous_near")]
+    every = fig8.path_experiments(scenes)
+    return [one for one in every if any(abs(one.label["x"] - x) < 1e-9 for x in GRASPS)]
+
+
+STUDY = replace(fig8.STUDY, experiments=small_experiments)
 
 
 def use_small_study() -> None:
     """Fig. 8 is this one, in this process."""
-    STUDIES[SMALL] = replace(FIG8, tasks=small_tasks)
+    STUDIES[SMALL] = "tests.baselines.small_studies"
 
 
 if __name__ == "__main__":

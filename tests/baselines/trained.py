@@ -10,13 +10,13 @@ import numpy as np
 from baselines.learning.policies import Policy
 from baselines.learning.recipe import Recipe
 from retract_env.scene import LineOfSight
-from retract_env.task import actions, default_scene, task
+from retract_env.task import SIZE, actions, default_scene
 
 
 def policy(seed: int = 0, sizes: tuple[int, ...] = (8, 5), **changes: Any) -> Policy:
     """Random weights."""
     rng = np.random.default_rng(seed)
-    ends = (task.SIZE, *sizes, actions.SIZE)
+    ends = (SIZE, *sizes, actions.SIZE)
 
     def draw(*shape: int) -> Any:
         return rng.standard_normal(shape).astype(np.float32)
@@ -25,8 +25,8 @@ def policy(seed: int = 0, sizes: tuple[int, ...] = (8, 5), **changes: Any) -> Po
         "name": "toy",
         "weights": tuple(draw(n, m) / 8 for m, n in pairwise(ends)),
         "biases": tuple(draw(n) for n in ends[1:]),
-        "mean": draw(task.SIZE),
-        "deviation": np.exp(draw(task.SIZE)),
+        "mean": draw(SIZE),
+        "deviation": np.exp(draw(SIZE)),
         "clip": 10.0,
         "activation": "tanh",
         "output": "clip",
@@ -87,7 +87,7 @@ LEARNERS: dict[str, dict[str, Any]] = {
 }
 
 
-def recipe(algorithm: str, steps: int, every: int, **learner: Any) -> Recipe:
+def recipe(algorithm: str, steps: int, every: int, checkpoint: int | None = None, **learner: Any) -> Recipe:
     """For the easy scene, held by the spring model's grasp."""
     return Recipe.from_data(
         {
@@ -95,7 +95,7 @@ def recipe(algorithm: str, steps: int, every: int, **learner: Any) -> Recipe:
             "steps": steps,
             "task": {"scene": easy_scene(), "grasp": "spring"},
             "network": {"sizes": [64, 64], "activation": "tanh" if algorithm in ("ppo", "bc") else "relu"},
-            "evaluation": {"every": every, "scenes": 1},
+            "evaluation": {"every": every, "checkpoint": checkpoint, "scenes": 1},
             "learner": LEARNERS[algorithm] | learner,
         }
     )

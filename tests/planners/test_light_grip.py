@@ -11,8 +11,8 @@ from planners import plan
 from planners.base import Plan
 from planners.certify import certify
 from planners.light_grip import MARGIN, MOST_TRIALS, TOLERANCE, LightGrip, Outcome, least_compression
-from planners.paths import circular, ctc
-from planners.proposals import PATHS, along
+from planners.paths import PATHS, circular, ctc
+from planners.proposals import along
 from planners.search import generate_and_test
 from retract_env.grasp import Grasp, JawPath
 from retract_env.scene import Scene

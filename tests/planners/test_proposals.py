@@ -1,16 +1,22 @@
-"""Grasps and paths that are tried: the paper's four paths, uniform grasps on any tissue."""
+"""Grasps and paths that are tried: kinds of paths by name, uniform grasps on any tissue."""
 
 from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from planners import PLANNERS
-from planners.proposals import PATHS, along, stable_grasps, uniform_grasps
+from planners.paths import PAPER_PATHS, PATHS
+from planners.proposals import along, stable_grasps, uniform_grasps
 from retract_env.spring import SpringModel, optimal_compression
 from tests.planners.retractions import a_scene, veined
 from tests.retract_env.bodies import HEIGHT, LENGTH
 
+ROOT = Path(__file__).resolve().parents[2]
 SCENES = {"homogeneous": a_scene(), "veined": veined()}
 every_scene = pytest.mark.parametrize("name", SCENES)
 
@@ -19,15 +25,32 @@ def test_paths_go_by_the_name_that_they_bear() -> None:
     grasp = stable_grasps(a_scene())[0]
     for name, path_of in PATHS.items():
         assert path_of(a_scene(), grasp).kind == name
-    assert set(PATHS) <= set(PLANNERS)
+    assert set(PAPER_PATHS) <= set(PATHS)
+    assert set(PAPER_PATHS) <= set(PLANNERS)
+
+
+def test_a_further_kind_of_path_becomes_no_planner() -> None:
+    """Nor is it searched by one: the module is made again with the kind in the registry."""
+    code = (
+        "import importlib, planners, planners.paths as paths\n"
+        "before = list(planners.PLANNERS)\n"
+        "paths.PATHS['steep'] = paths.ctc\n"
+        "planners = importlib.reload(planners)\n"
+        "assert list(planners.PLANNERS) == before, list(planners.PLANNERS)\n"
+        "assert 'steep' not in planners.PLANNERS['exhaustive'].args[2]\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
 
 
 @every_scene
 def test_every_grasp_goes_along_every_path(name: str) -> None:
     scene = SCENES[name]
     grasps = stable_grasps(scene)
-    proposals = along(scene, grasps)
-    assert [(grasp, path.kind) for grasp, path in proposals] == [(g, kind) for g in grasps for kind in PATHS]
+    proposals = along(scene, grasps, PAPER_PATHS)
+    assert [(grasp, path.kind) for grasp, path in proposals] == [
+        (grasp, kind) for grasp in grasps for kind in PAPER_PATHS
+    ]
     assert all(path == PATHS[path.kind](scene, grasp) for grasp, path in proposals)
 
 

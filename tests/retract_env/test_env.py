@@ -19,8 +19,10 @@ from gymnasium.utils.env_checker import check_env
 from numpy.typing import NDArray
 
 from retract_env.env import TissueRetractEnv
+from retract_env.physics.registry import PHYSICS
+from retract_env.rollout import rollout
 from retract_env.scene import sample_scene
-from retract_env.task import default_scene, task
+from retract_env.task import SIZE, SLICES, TaskConfig, default_scene
 from tests.retract_env.playing import BULLET, FEM, LIFT, digest, play
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -136,9 +138,23 @@ def test_a_spec_survives_json(make: Callable[..., TissueRetractEnv], options: di
     again.close()
 
 
-def test_the_registered_limit_is_the_tasks() -> None:
-    for name in (FEM, BULLET):
-        assert gym.spec(name).max_episode_steps == task.MAX_STEPS
+def test_every_physics_has_an_environment() -> None:
+    for kind in PHYSICS.values():
+        assert gym.spec(kind.env_id).kwargs == {"physics": kind.name}
+
+
+@pytest.mark.parametrize("steps", [3, TaskConfig().steps, 70])
+def test_the_number_of_steps_is_the_tasks_wherever_it_is_asked_for(steps: int) -> None:
+    """Gymnasium's own time limit does not come before it."""
+    env = gym.make(FEM, grasp="spring", task={"steps": steps})
+    assert env.spec is not None and env.spec.max_episode_steps == steps
+    again = EnvSpec.from_json(env.spec.to_json()).make()
+    for made in (env, again):
+        played = rollout(made, lambda _: np.zeros(3, np.float32), seed=0)
+        assert played.truncated and len(played) == steps
+        left = played.observations[:, SLICES["time_left"]].ravel()
+        assert left == pytest.approx(1 - np.arange(steps + 1) / steps, abs=1e-6)
+        made.close()
 
 
 def test_it_is_made_without_an_import() -> None:
@@ -207,10 +223,10 @@ def test_wrappers(make: Callable[..., TissueRetractEnv]) -> None:
     wrapped.reset(seed=0)
     while True:
         seen, _, terminated, truncated, info = wrapped.step(LIFT)
-        assert seen.shape == (2, task.SIZE)
+        assert seen.shape == (2, SIZE)
         if terminated or truncated:
             break
-    assert info["episode"]["l"] <= task.MAX_STEPS
+    assert info["episode"]["l"] <= TaskConfig().steps
 
 
 def test_videos(make: Callable[..., TissueRetractEnv], tmp_path: Path) -> None:

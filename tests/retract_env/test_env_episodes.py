@@ -20,7 +20,7 @@ from retract_env.errors import Diverged, SceneError
 from retract_env.physics.base import TissueState
 from retract_env.physics.fem import FemPhysics
 from retract_env.scene import Scene, load_scene
-from retract_env.task import SLICES, default_scene, task
+from retract_env.task import SLICES, TaskConfig, default_scene
 from tests.retract_env.bodies import flap, square_vein
 from tests.retract_env.playing import BULLET, FEM, LIFT, digest, play
 
@@ -77,10 +77,10 @@ def test_numbers_beyond_the_bounds_count_as_the_bounds(
 def test_an_episode_ends_after_64_steps(make: Callable[..., TissueRetractEnv]) -> None:
     env = make(grasp="spring")
     seen, _ = env.reset(seed=0)
-    for k in range(task.MAX_STEPS):
+    for k in range(TaskConfig().steps):
         assert seen[SLICES["time_left"]] == pytest.approx(1 - k / 64)
         seen, _, terminated, truncated, info = env.step(np.zeros(3, np.float32))
-        assert (terminated, truncated) == (False, k == task.MAX_STEPS - 1)
+        assert (terminated, truncated) == (False, k == TaskConfig().steps - 1)
     assert seen[SLICES["time_left"]] == 0
     assert not info["failure"] and not info["is_success"]
     with pytest.raises(ResetNeeded):

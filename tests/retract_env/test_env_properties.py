@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from retract_env.rollout import rollout
 from retract_env.scene import LineOfSight
-from retract_env.task import SLICES, default_scene, task
+from retract_env.task import SIZE, SLICES, TaskConfig, Weights, default_scene
 from tests.retract_env.playing import BULLET, FEM
 
 seeds = st.integers(0, 2**31 - 1)
@@ -29,8 +29,8 @@ def coarse(name: str, **options: Any) -> Any:
 def check_episode(env: Any, policy: Any, seed: int, options: dict[str, Any] | None = None) -> str:
     """Play it and check all that an episode promises; returns how it ended."""
     played = rollout(env, policy, seed=seed, options=options)
-    low, high = task.REWARD_RANGE
-    assert 1 <= len(played) <= task.MAX_STEPS
+    low, high = TaskConfig().reward_range
+    assert 1 <= len(played) <= TaskConfig().steps
     assert played.terminated != played.truncated
     for seen in played.observations:
         assert seen in env.observation_space
@@ -38,7 +38,7 @@ def check_episode(env: Any, policy: Any, seed: int, options: dict[str, Any] | No
     assert ((played.rewards >= low) & (played.rewards <= high)).all() and low <= played.total <= high
     last = played.infos[-1]
     for info in played.infos:
-        assert set(info) == set(last) and set(info["reward_terms"]) == set(task.WEIGHTS)
+        assert set(info) == set(last) and set(info["reward_terms"]) == set(Weights.model_fields)
         assert 0 <= info["exposure"] <= 1 and math.isfinite(info["clearance"])
         assert math.isfinite(info["max_strain"]) and not math.isnan(info["required_friction"])
         assert info["cost"] in (0, 1, 2)
@@ -51,7 +51,7 @@ def check_episode(env: Any, policy: Any, seed: int, options: dict[str, Any] | No
     assert played.terminated == (last["is_success"] or last["failure"] in ("strain", "slip", "release"))
     assert (last["cost"] > 0) == (last["failure"] in ("strain", "slip", "release"))
     assert (
-        played.truncated == (len(played) == task.MAX_STEPS or last["failure"] == "diverged")
+        played.truncated == (len(played) == TaskConfig().steps or last["failure"] == "diverged")
         or played.terminated
     )
     return last["failure"] or ("ok" if last["is_success"] else "time")
@@ -66,7 +66,7 @@ class Rough:
         self.held = self.rng.uniform(-1, 1, 3)
 
     def __call__(self, seen: Any) -> Any:
-        if seen.shape == (task.SIZE,) and not seen[SLICES["holding"]]:
+        if seen.shape == (SIZE,) and not seen[SLICES["holding"]]:
             return self.rng.uniform(-1, 1, 3).astype(np.float32)
         if self.kind == 0:
             return self.rng.uniform(-1, 1, 3).astype(np.float32)
@@ -114,7 +114,8 @@ def test_extremes_held_to_the_end(name: str, first: tuple[float, float]) -> None
     env = coarse(name)
     ends = set()
     for corner in product([-1.0, 1.0], repeat=3):
-        held = iter([np.array([*first, 0.0], np.float32)] + [np.array(corner, np.float32)] * task.MAX_STEPS)
+        moves = [np.array(corner, np.float32)] * TaskConfig().steps
+        held = iter([np.array([*first, 0.0], np.float32), *moves])
         ends.add(check_episode(env, lambda _, held=held: next(held), 0))
     assert ends & {"strain", "slip", "release"}
     env.close()

@@ -17,7 +17,7 @@ from planners.paths import circular, ctc
 from retract_env.grasp import Grasp, JawPath, to_pose
 from retract_env.rollout import PathPolicy, Rollout, gripper_pose, rollout
 from retract_env.scene import Scene, load_scene
-from retract_env.task import default_scene, task
+from retract_env.task import TaskConfig, default_scene
 from retract_env.task.episode import spring_grasps
 
 SCENES = Path(__file__).resolve().parents[2] / "configs" / "scenes"
@@ -124,7 +124,7 @@ def test_at_the_paths_end_it_waits(make: MakeEnv) -> None:
     grasp = spring_grasps(scene)[2]
     short = JawPath(ctc(scene, grasp).waypoints[:12], "short")
     env, played = play(make, scene, grasp, short)
-    assert played.truncated and not played.success and len(played) == task.MAX_STEPS
+    assert played.truncated and not played.success and len(played) == TaskConfig().steps
     assert to_pose(env.episode.now.state.jaws) == pytest.approx(short.poses[-1], abs=1e-7)
     assert np.abs(played.actions[-1]).max() < 1e-3
 

@@ -19,12 +19,11 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from retract_env.config import BULLET
 from retract_env.errors import Diverged
 from retract_env.grasp import to_jaws, to_pose
 from retract_env.physics.base import TissueState
@@ -32,24 +31,27 @@ from retract_env.physics.bullet.prediction import Prediction
 from retract_env.physics.bullet.tetmesh import tet_mesh
 from retract_env.physics.bullet.world import World, silence
 from retract_env.physics.measures import TetrahedralFlap
+from retract_env.physics.registry import PHYSICS
 from retract_env.scene import Scene
 
 Array = NDArray[np.float64]
 
 STRIDE, TURN = 2e-3, float(np.radians(6.0))
-"""m and rad, farthest move of the gripper in `BulletResolution.steps`; longer moves take more of them."""
+"""m and rad: the farthest that the gripper goes in one stride, of `BulletResolution.steps` time steps. A
+longer move is made in several strides."""
 PARTS = 2
 """Parts of a stride, each of which begins with a prediction."""
 LOOKS = 2
-"""How often in a part, equally spaced, the kinetic energy is looked at."""
+"""Times in each part of a stride, equally spaced, that the kinetic energy is looked at."""
 COURANT = 0.7
 """Time step over the longest stable one; above sqrt(1/2) a stop adds energy to the fastest vibrations."""
 QUARTER_SWING = 0.03
-"""s, of Bullet's time, in which a hanging flap's slowest swing is at its fastest once."""
+"""s of Bullet's time, a quarter of a hanging flap's slowest swing: at some moment in it the swing is
+fastest."""
 SMALLEST_CUT = 1 / 64
 """Part of a move below which it is not cut any further."""
 LIFTED = 3e-4
-"""m, the bed is left out while the flap is higher than this, but for what is next to the fixed end."""
+"""m. The bed is taken away while all of the flap is higher than this, except next to the fixed end."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +83,8 @@ class BulletPhysics:
     last good one, and the flap goes on from there.
     """
 
+    resolutions: ClassVar[tuple[str, ...]] = tuple(BULLET_RESOLUTIONS)
+
     def __init__(
         self,
         scene: Scene,
@@ -88,8 +92,8 @@ class BulletPhysics:
         resolution: str | BulletResolution = "medium",
         stop_when: Callable[[TissueState], bool] | None = None,
     ):
-        """jaw_x: m, where the jaws grasp; stop_when: asked of the farthest state on the way of a move that
-        cannot be made whole, and where it says so the move ends there.
+        """jaw_x: m, where the jaws grasp; stop_when: called with the farthest state that is
+        reached by a move which cannot be completed; the move ends there if it returns True.
 
         Raises ImportError, one line, without pybullet, and ValueError as `tet_mesh`.
         """
@@ -290,6 +294,5 @@ def _pybullet() -> Any:
         with silence():
             import pybullet
     except ImportError:
-        hint = f"{BULLET}; TissueRetractFEM-v0 needs none"
-        raise ImportError(f"pybullet is not installed: {hint}") from None
+        raise ImportError(PHYSICS["bullet"].missing) from None
     return pybullet

@@ -13,11 +13,12 @@ Array = NDArray[np.float64]
 NEAR = 2e-5
 """m, nodes lower than this are first taken to lie on the bed."""
 TRIES = 6
-"""At most, to find which nodes lie on the bed."""
+"""Rounds, at most, in search of the nodes that lie on the bed."""
 STIFF = 100.0
-"""Of the bed, over the median stiffness of an unknown."""
+"""Stiffness of the bed under a node, over the median stiffness of an unknown."""
 LEAST_SHIFT, MOST_SHIFT = 1e-3, 10.0
-"""Over the same, added to a tangent that is not positive definite, each time ten times as much."""
+"""First and last stiffness, over the same median, that is added to the diagonal of a tangent which is not
+positive definite; each is ten times the one before."""
 
 
 class Prediction:

@@ -23,7 +23,8 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 MOST_COPIES = 99
-"""Stiffest vein over tissue; each copy costs as much as another tetrahedron."""
+"""Stiffest vein, over the tissue's modulus: its tetrahedra are listed so often, and each copy costs as much
+as another tetrahedron."""
 SLIVER = 0.5
 """A patch that ends nearer than this, over its width, to the free end reaches up to it."""
 

@@ -1,6 +1,6 @@
 """The calls to pybullet: one soft body, two jaws and a bed in a deformable world of their own.
 
-pybullet itself is imported in bullet.py alone. What is done here follows from what Bullet 3.2.7 does:
+pybullet itself is imported in flap.py alone. What is done here follows from what Bullet 3.2.7 does:
 
 * Anchors to moving bodies are constraints, which double the cost of a step; those of a node without mass are
   skipped, but the node still goes where its jaw goes. So held nodes are anchored first, then lose their mass.
@@ -191,7 +191,7 @@ _one_at_a_time = threading.Lock()
 
 @functools.cache
 def _rows(count: int) -> list[list[float]]:
-    """What resetMeshData is given: always the same lists, since pybullet never lets go of them."""
+    """The lists given to resetMeshData: always the same ones, because pybullet never frees them."""
     return [[0.0, 0.0, 0.0] for _ in range(count)]
 
 

@@ -14,7 +14,7 @@ import pytest
 
 from baselines.benchmark.methods import Method, compete, led_out
 from baselines.benchmark.splits import Benchmark, BenchmarkError, load_benchmark
-from baselines.benchmark.tasks import methods_of, numbers, tasks_of
+from baselines.benchmark.tasks import chosen, methods_of, numbers, tasks_of
 from baselines.jobs.journal import Row, run_tasks
 from baselines.learning.policies import PolicyError, save_policy
 from planners import certify, plan
@@ -195,6 +195,14 @@ def test_tasks_are_plain_and_name_the_code(benchmark: Benchmark) -> None:
             tasks_of(benchmark, [], [wrong])
 
 
+def test_methods_are_chosen_by_name(benchmark: Benchmark) -> None:
+    methods = methods_of(benchmark, None)
+    assert [m.name for m in chosen(methods, ["random", "ctc"])] == ["ctc", "random"]
+    assert chosen(methods, None) == methods
+    with pytest.raises(BenchmarkError, match=r"^method = 'luck', allowed ctc, eased, "):
+        chosen(methods, ["luck"])
+
+
 def test_slow_planners_are_judged_on_the_first_scenes_only(benchmark: Benchmark) -> None:
     split = benchmark.splits["validation"].model_copy(update={"slow": 2})
     few = benchmark.model_copy(update={"splits": {"validation": split}})
@@ -224,7 +232,7 @@ def made_up(method: str, strains: list[float | None], run: int = 0, **changes: A
             "run": run,
             "split": "test",
             "number": k,
-            "scene_hash": "",
+            "scene_hash": f"scene {k}",
             "certified": strain is not None,
             "reason": "ok" if strain is not None else "slip",
             "max_strain": 0.3 if strain is None else strain,
@@ -253,12 +261,13 @@ def rows() -> list[Row]:
 
 def test_scores_compare_with_the_best_known_of_each_scene(rows: list[Row]) -> None:
     pytest.importorskip("rliable")
-    from baselines.benchmark.scores import scores_by_method, summaries
+    from baselines.benchmark.scores import best_known, scores_by_method, summaries
 
-    scores = scores_by_method(rows)
+    best = best_known(rows, {})
+    scores = scores_by_method(rows, best)
     assert scores["ctc"] == pytest.approx(np.array([[0.5, 1.0, 0.5, 0.0]]))
     assert scores["mine"] == pytest.approx(np.array([[1.0, 0.5, 0.0, 0.0], [1.0, 0.0, 1.0, 0.0]]))
-    first, second = summaries(rows, 0, 200)
+    first, second = summaries(rows, best, 0, 200)
     assert (first.method, second.method) == ("ctc", "mine")
     assert (first.certified.value, second.certified.value) == (0.75, 0.5)
     # of three scenes that ctc certifies, the runs of the other do two each
@@ -270,15 +279,40 @@ def test_scores_compare_with_the_best_known_of_each_scene(rows: list[Row]) -> No
     for summary in (first, second):
         assert summary.certified.low <= summary.certified.value <= summary.certified.high
         assert summary.score.low <= summary.score.value <= summary.score.high
-    assert str(summaries(rows, 0, 200)) == str([first, second])
+    assert str(summaries(rows, best, 0, 200)) == str([first, second])
+
+
+def test_what_was_known_before_counts_too(rows: list[Row]) -> None:
+    """A method alone is compared with others' retractions, not with its own."""
+    pytest.importorskip("rliable")
+    from baselines.benchmark.scores import best_known, scores_by_method, summaries
+
+    known = {f"scene {k}": 0.1 for k in range(4)}
+    alone = made_up("ctc", [0.2, 0.2, 0.05, None])
+    assert scores_by_method(alone, known)["ctc"] == pytest.approx(np.array([[0.5, 0.5, 2.0, 0.0]]))
+    (summary,) = summaries(alone, known, 0, 50)
+    assert summary.excess == pytest.approx(1.0)
+    assert best_known(alone, known) == {**known, "scene 2": 0.05}
+
+
+def test_without_anything_to_compare_with_there_is_no_score() -> None:
+    pytest.importorskip("rliable")
+    from baselines.benchmark.report import in_text
+    from baselines.benchmark.scores import summaries
+
+    (summary,) = summaries(made_up("ctc", [0.2, None]), None, 0, 50)
+    assert summary.certified.value == 0.5
+    assert np.isnan(summary.score.value) and np.isnan(summary.excess)
+    assert "certified" in in_text([summary]) and "score" not in in_text([summary])
 
 
 def test_a_method_is_scored_on_the_scenes_that_it_was_judged_on(rows: list[Row]) -> None:
     pytest.importorskip("rliable")
     from baselines.benchmark.report import in_text
-    from baselines.benchmark.scores import summaries
+    from baselines.benchmark.scores import best_known, summaries
 
-    found = summaries([*rows, *made_up("slow", [0.1, 0.1])], 0, 50)
+    some = [*rows, *made_up("slow", [0.1, 0.1])]
+    found = summaries(some, best_known(some, {}), 0, 50)
     assert {s.method: s.scenes for s in found} == {"ctc": 4, "mine": 4, "slow": 2}
     slow = next(s for s in found if s.method == "slow")
     assert slow.certified.value == 1 and slow.of_reference == 1 and slow.excess == pytest.approx(0)
@@ -297,7 +331,7 @@ def test_the_report_is_whole(rows: list[Row], tmp_path: Path) -> None:
     from baselines.benchmark.report import write_report
 
     curves = {"mine": [[{"steps": 10, "success": 0.2}, {"steps": 20, "success": 0.5}]] * 2}
-    written = write_report(rows, tmp_path, "fine", "retract benchmark", curves, 0, 50)
+    written = write_report(rows, tmp_path, "fine", "retract benchmark", curves, {}, 0, 50)
     assert sorted(written) == sorted(tmp_path.iterdir())
     with (tmp_path / "benchmark.csv").open() as file:
         lines = list(csv.DictReader(file))
@@ -333,7 +367,7 @@ def test_a_report_that_fails_leaves_the_old_one(
     (tmp_path / "benchmark.csv").write_text("old")
     monkeypatch.setattr(Path, "write_bytes", fail)
     with pytest.raises(OSError, match="disk full"):
-        report.write_report(rows, tmp_path, "fine", "", {}, 0, 20)
+        report.write_report(rows, tmp_path, "fine", "", {}, {}, 0, 20)
     assert [file.name for file in tmp_path.iterdir()] == ["benchmark.csv"]
     assert (tmp_path / "benchmark.csv").read_text() == "old"
 

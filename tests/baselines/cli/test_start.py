@@ -66,7 +66,7 @@ def test_a_first_run_shows_that_it_compiles(
     monkeypatch.setattr(console, "TOLD_EVERY", 0.02)
     monkeypatch.setattr(console, "_use_every_kernel", lambda: time.sleep(0.2))
     for cached in (False, True):
-        monkeypatch.setattr("retract_env.fem.kernels_are_cached", lambda cached=cached: cached)
+        monkeypatch.setattr("retract_env.fem.kernels_are_cached", lambda physics, cached=cached: cached)
         assert main(command) == 1
         text = capsys.readouterr().out
         assert ("first run: compiling the finite-element kernels, some 20 s" in text) is not cached

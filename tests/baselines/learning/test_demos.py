@@ -12,12 +12,12 @@ import pytest
 pytest.importorskip("minari")
 pytest.importorskip("h5py")
 
-import gymnasium as gym
 
 from baselines.benchmark.splits import load_benchmark
 from baselines.jobs.journal import Row, run_tasks
 from baselines.learning import demos
 from retract_env.rollout import gripper_pose
+from retract_env.scene import sample_scene
 from retract_env.task import SLICES
 
 BENCHMARK = Path(__file__).resolve().parents[3] / "configs" / "benchmark.yaml"
@@ -70,21 +70,36 @@ def test_the_dataset_keeps_seeds_certificates_and_command(dataset: Any, rows: li
         assert json.loads(about["certificate"]) == row["certificate"]
 
 
-def test_its_episodes_are_what_the_environment_says(dataset: Any) -> None:
-    """Its actions, taken in its scene, give its observations and rewards."""
-    env = gym.make(demos.ENV, **demos.KWARGS)
-    episode = dataset[0]
-    scene = demos.demo_scene(1)
-    seen, _ = env.reset(options={"scene": scene.dump()})
-    for k, action in enumerate(episode.actions):
-        assert np.array_equal(seen, episode.observations[k])
-        seen, reward, terminated, _, info = env.step(action)
-        assert reward == episode.rewards[k]
-    assert terminated and episode.terminations.tolist() == [False] * k + [True]
-    assert info["is_success"]
-    # it moved: the jaws ended somewhere else than they closed
-    poses = [gripper_pose(o, scene) for o in episode.observations[[1, -1]]]
-    assert np.hypot(*(poses[1] - poses[0])[:2]) > 5e-3
+def assert_said(info: dict[str, Any], kept: dict[str, Any], step: int) -> None:
+    """What the environment says at a step is what the data set keeps."""
+    assert set(kept) == set(info) - {"failure"} >= {"cost", "reward_terms"}
+    for name, values in kept.items():
+        if isinstance(values, dict):
+            assert {key: of[step] for key, of in values.items()} == info[name]
+        else:
+            assert values[step] == info[name]
+
+
+def test_its_episodes_are_replayed_from_their_own_seeds(dataset: Any) -> None:
+    """The environment that the data set recovers, reset with an episode's seed, is where it was played."""
+    env = dataset.recover_environment()
+    metadata = list(dataset.storage.get_episode_metadata(range(2)))
+    for episode, about in zip(dataset, metadata, strict=True):
+        seen, info = env.reset(seed=about["seed"])
+        scene = env.unwrapped.episode.task.scene
+        assert scene.hash == about["scene_hash"]
+        for k, action in enumerate(episode.actions):
+            assert np.array_equal(seen, episode.observations[k])
+            assert_said(info, episode.infos, k)
+            seen, reward, terminated, _, info = env.step(action)
+            assert reward == episode.rewards[k]
+        assert np.array_equal(seen, episode.observations[-1])
+        assert_said(info, episode.infos, k + 1)
+        assert terminated and episode.terminations.tolist() == [False] * k + [True]
+        assert info["is_success"]
+        # it moved: the jaws ended somewhere else than they closed
+        poses = [gripper_pose(o, scene) for o in episode.observations[[1, -1]]]
+        assert np.hypot(*(poses[1] - poses[0])[:2]) > 5e-3
     env.close()
 
 
@@ -99,6 +114,8 @@ def test_what_is_learned_from_has_a_grasp_in_each_episode(dataset: Any) -> None:
 def test_demonstrated_scenes_are_none_of_the_benchmarks() -> None:
     splits = load_benchmark(BENCHMARK).splits
     assert demos.SEED not in {split.seed for split in splits.values()}
+    drawn = sample_scene(np.random.default_rng([demos.SEED, 5]))  # as a split's scene is drawn
+    assert demos.demo_scene(5).hash == drawn.hash
 
 
 @pytest.mark.parametrize("name", ["", "no version", "a/b", "../up-v0"])

@@ -14,13 +14,13 @@ import pytest
 
 from baselines.benchmark.methods import Method, compete
 from baselines.learning.policies import JSON, TENSORS, PolicyError, load_policy, save_policy, shipped
-from retract_env.task import default_scene, task
+from retract_env.task import HIGH, LOW, SIZE, default_scene
 from tests.baselines.trained import policy
 
 
 def observations(count: int) -> Any:
     rng = np.random.default_rng(5)
-    return rng.uniform(task.LOW, task.HIGH, (count, task.SIZE)).astype(np.float32)
+    return rng.uniform(LOW, HIGH, (count, SIZE)).astype(np.float32)
 
 
 @pytest.mark.parametrize("activation", ["tanh", "relu"])
@@ -65,6 +65,10 @@ def change_json(folder: Path, **changes: Any) -> None:
     (folder / JSON).write_text(json.dumps(about | changes))
 
 
+def change_training(folder: Path, **changes: Any) -> None:
+    change_json(folder, training=policy().training | changes)  # type: ignore[operator]
+
+
 class Harm:
     """What a pickle may hide."""
 
@@ -87,10 +91,31 @@ def flip_a_bit(folder: Path) -> None:
         (lambda f: (f / JSON).write_text("[1]"), "policy.json: not a policy of the format retract-policy-1"),
         (lambda f: (f / JSON).write_bytes(b"\xff\xfe"), "policy.json: not readable as JSON"),
         (lambda f: change_json(f, format="other"), "policy.json: not a policy of the format"),
-        (lambda f: change_json(f, extra=1), "policy.json: fields activation"),
-        (lambda f: change_json(f, activation="gelu"), "policy.json: activation = gelu, which no policy has"),
-        (lambda f: change_json(f, layers=[]), "policy.json: layers = [], which no policy has"),
-        (lambda f: change_json(f, clip="wide"), "policy.json: clip = wide, which no policy has"),
+        (lambda f: change_json(f, extra=1), "policy.json: extra: unknown key; known keys: format, name"),
+        (lambda f: change_json(f, activation="gelu"), "policy.json: activation: Input should be 'tanh' or"),
+        (lambda f: change_json(f, layers=[]), "policy.json: layers: "),
+        (
+            lambda f: change_json(f, layers=[[107, 8], [8, 5], [5, 2]]),
+            "policy.json: layers[2] = [5, 2]",
+        ),
+        (lambda f: change_json(f, clip="wide"), "policy.json: clip = 'wide', not a number"),
+        (lambda f: change_json(f, clip=10**400), "policy.json: clip = 100000"),
+        (lambda f: change_json(f, clip=float("nan")), "policy.json: not readable as JSON"),
+        (lambda f: change_json(f, name=""), "policy.json: name = '', not a text"),
+        (lambda f: change_json(f, tensors="0"), "policy.json: tensors: "),
+        (lambda f: change_json(f, env={}), "policy.json: env.id: missing"),
+        (
+            lambda f: change_json(f, training={}),
+            "policy.json: training.seed: missing; training.curve",
+        ),
+        (lambda f: change_training(f, seed="0"), "policy.json: training.seed = '0', not a number"),
+        (
+            lambda f: change_training(f, curve=[{"steps": 1}]),
+            "policy.json: training.curve[0].success",
+        ),
+        (lambda f: change_training(f, curve=[]), "policy.json: training.curve: "),
+        (lambda f: change_training(f, colour=1), "policy.json: training.colour: unknown key"),
+        (lambda f: change_json(f, scores={"test": 3}), "policy.json: scores.test = 3, not a mapping"),
         (flip_a_bit, "policy.safetensors: not the tensors that policy.json was written with"),
         (
             lambda f: (f / TENSORS).write_bytes(pickle.dumps(Harm())),
@@ -124,13 +149,13 @@ def test_layers_must_follow_each_other() -> None:
     with pytest.raises(PolicyError, match=r"^policy: layers of shapes .* do not follow each other$"):
         policy(weights=sound.weights[::-1])
     with pytest.raises(PolicyError, match=r"^policy: weights, or the deviations"):
-        policy(deviation=np.zeros(task.SIZE, np.float32))
+        policy(deviation=np.zeros(SIZE, np.float32))
 
 
 def test_a_failed_write_leaves_the_policy_that_was_there(tmp_path: Path) -> None:
     save_policy(policy(0), tmp_path)
     broken = policy(1, scores={"validation": object()})
-    with pytest.raises(TypeError):
+    with pytest.raises(PolicyError, match=r"^scores\.validation = <object object at .*, not a mapping"):
         save_policy(broken, tmp_path)
     assert np.array_equal(load_policy(tmp_path).mean, policy(0).mean)
     assert {file.name for file in tmp_path.iterdir()} == {JSON, TENSORS}

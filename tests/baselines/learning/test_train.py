@@ -20,13 +20,16 @@ pytest.importorskip("stable_baselines3")
 pytest.importorskip("sb3_contrib")
 pytest.importorskip("tensorboard")
 
+from baselines.jobs.version import PACKAGES
 from baselines.learning import train
-from baselines.learning.agents import Agent
+from baselines.learning.agents import FAILURES, Agent
 from baselines.learning.checkpoints import MAGIC, CheckpointError, read_checkpoint, write_checkpoint
 from baselines.learning.envs import make_envs
-from baselines.learning.policies import TENSORS, Policy, load_policy, save_policy
-from baselines.learning.recipe import RecipeError
-from retract_env.task import task
+from baselines.learning.fields import RecipeError
+from baselines.learning.policies import TENSORS, Policy, PolicyError, load_policy, save_policy
+from retract_env.errors import SceneError
+from retract_env.task import HIGH, LOW, SIZE
+from retract_env.task.config import Weights
 from tests.baselines.trained import easy_scene, recipe
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -59,6 +62,7 @@ def stopped_after(steps: int) -> Callable[[train.Progress], None]:
 def outcome(folder: Path) -> tuple[Any, bytes]:
     """The last state of all that was learned, and the policy's tensors."""
     state = read_checkpoint(folder / train.CHECKPOINT)
+    del state["seconds"]
     for line in state["curve"]:
         del line["seconds"]
     return plain(state), (folder / train.POLICY / TENSORS).read_bytes()
@@ -98,6 +102,62 @@ def test_a_run_that_stopped_ends_as_it_would_have(
     assert outcome(tmp_path) == outcome(whole(algorithm))
 
 
+@pytest.mark.parametrize("algorithm", ["ppo", "sac"])
+def test_a_run_that_stopped_between_evaluations_ends_as_it_would_have(tmp_path: Path, algorithm: str) -> None:
+    """From a checkpoint that the recipe asks for before the first evaluation."""
+    run = replace(tiny(algorithm), recipe=recipe(algorithm, 48, 32, 16, **TINY[algorithm]))
+    stopped, whole = tmp_path / "stopped", tmp_path / "whole"
+    with pytest.raises(Stop):
+        train.train(run, stopped, stopped_after(16))
+    state = read_checkpoint(stopped / train.CHECKPOINT)
+    assert state["agent"]["steps"] == 16 and state["curve"] == []
+    train.train(train.open_run(stopped), stopped)
+    train.train(run, whole)
+    assert outcome(stopped) == outcome(whole)
+    assert [line["steps"] for line in read_checkpoint(whole / train.CHECKPOINT)["curve"]] == [32, 48]
+
+
+@pytest.mark.parametrize(
+    ("change", "error"),
+    [
+        ({"start": "nope"}, PolicyError),
+        ({"demos": 3}, RecipeError),
+        ({"start": "bc-0"}, RecipeError),  # another network
+    ],
+)
+def test_a_run_that_cannot_begin_leaves_nothing(
+    tmp_path: Path, change: dict[str, Any], error: type[Exception]
+) -> None:
+    with pytest.raises(error):
+        train.train(tiny("ppo", **change), tmp_path / "run")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_scene_that_is_not_there_is_refused_before_anything_is_made(tmp_path: Path) -> None:
+    run = tiny("ppo")
+    data = run.recipe.dump() | {"task": {"scene": "nowhere.yaml"}}
+    with pytest.raises(SceneError, match=r"nowhere\.yaml"):
+        train.train(replace(run, recipe=type(run.recipe).from_data(data)), tmp_path / "run")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_logs_say_what_became_of_episodes(whole: Callable[[str], Path]) -> None:
+    """Shares of each failure, and the reward by its terms: means over episodes."""
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    log = EventAccumulator(str(whole("sac") / train.LOG)).Reload()
+    tags = set(log.Tags()["scalars"])
+    assert {f"rewards/{term}" for term in Weights.model_fields} <= tags
+    shares = {tag: [event.value for event in log.Scalars(tag)] for tag in tags if tag.startswith("failures/")}
+    assert set(shares) == {f"failures/{reason}" for reason in FAILURES}
+    assert all(0 <= sum(values) <= 1 for values in zip(*shares.values(), strict=True))
+
+
+def test_torch_threads_are_set_in_one_place() -> None:
+    sources = [file.read_text("utf-8") for folder in PACKAGES for file in (ROOT / folder).rglob("*.py")]
+    assert sum(source.count("set_num_threads(") for source in sources) == 1
+
+
 def test_a_run_leaves_what_it_says(whole: Callable[[str], Path]) -> None:
     folder = whole("ppo")
     assert {file.name for file in folder.iterdir()} == {
@@ -130,9 +190,9 @@ def test_the_policy_that_is_shipped_acts_as_the_agent(algorithm: str) -> None:
     envs = make_envs(recipe(algorithm, 48, 16, **TINY[algorithm]), 1)
     agent = Agent(recipe(algorithm, 48, 16, **TINY[algorithm]), envs, 0)
     rng = np.random.default_rng(0)
-    agent.stats.update(rng.uniform(task.LOW, task.HIGH, (50, task.SIZE)))
+    agent.stats.update(rng.uniform(LOW, HIGH, (50, SIZE)))
     policy = agent.policy()
-    for seen in rng.uniform(task.LOW, task.HIGH, (20, task.SIZE)).astype(np.float32):
+    for seen in rng.uniform(LOW, HIGH, (20, SIZE)).astype(np.float32):
         wanted, _ = agent.model.predict(envs.normalize_obs(seen), deterministic=True)
         assert policy(seen) == pytest.approx(wanted, abs=1e-5)
     envs.close()
@@ -147,7 +207,7 @@ def test_an_agent_begins_as_the_policy_that_it_is_given(algorithm: str, tmp_path
     agent = Agent(recipe(algorithm, 48, 16, **TINY[algorithm]), envs, 0)
     agent.begin_from(given)
     rng = np.random.default_rng(0)
-    for seen in rng.uniform(task.LOW, task.HIGH, (20, task.SIZE)).astype(np.float32):
+    for seen in rng.uniform(LOW, HIGH, (20, SIZE)).astype(np.float32):
         assert agent.policy()(seen) == pytest.approx(given(seen), abs=1e-4)
     with pytest.raises(RecipeError, match=r"^network: layers, activation and output "):
         agent.begin_from(_policy((64, 32), output=output, activation=activation))

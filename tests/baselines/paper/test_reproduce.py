@@ -4,28 +4,26 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import os
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from functools import wraps
 from pathlib import Path
 
 import pytest
 from rich.console import Console
 
 from baselines.cli.app import main
-from baselines.jobs.journal import key_of
+from baselines.jobs.journal import Row
 from baselines.jobs.version import code_version
-from baselines.paper import tasks
-from baselines.paper.paths import better, strains
+from baselines.paper import experiments
 from baselines.paper.reproduce import names, reproduce
 from baselines.paper.studies import STUDIES
-from baselines.paper.tasks import Row, Task, evaluate
-from retract_env.errors import ConfigError
-from tests.baselines.small_studies import SMALL, small_tasks, use_small_study
+from baselines.paper.studies.fig8 import better, strain_curves
+from tests.baselines.small_studies import SMALL, small_experiments, use_small_study
 
 ROOT = Path(__file__).resolve().parents[3]
 COMMAND = [sys.executable, "-m", "tests.baselines.small_studies"]
@@ -80,7 +78,7 @@ def test_a_run_writes_a_table_a_picture_and_a_page(whole: Path, small: str) -> N
     assert set(found) == {f"{small}.csv", f"{small}.png", f"{small}.md"}
     assert found[f"{small}.png"].startswith(b"\x89PNG")
     assert f"retract {code_version()}" in found[f"{small}.md"].decode()
-    assert len(found[f"{small}.csv"].splitlines()) == 1 + len(small_tasks())
+    assert len(found[f"{small}.csv"].splitlines()) == 1 + len(small_experiments())
 
 
 def test_an_interrupted_run_goes_on_where_it_stopped(whole: Path, small: str, tmp_path: Path) -> None:
@@ -90,12 +88,12 @@ def test_an_interrupted_run_goes_on_where_it_stopped(whole: Path, small: str, tm
     assert process.returncode == 130
     assert errors == "interrupted\n"
     kept = rows_kept(tmp_path)
-    assert 3 <= kept < len(small_tasks())
+    assert 3 <= kept < len(small_experiments())
     assert results(tmp_path) == {}
     told = io.StringIO()
     reproduce([small], tmp_path, "coarse", workers=1, console=Console(file=told))
-    assert f"{kept} of {len(small_tasks())} were done before" in told.getvalue()
-    assert rows_kept(tmp_path) == len(small_tasks())
+    assert f"{kept} of {len(small_experiments())} were done before" in told.getvalue()
+    assert rows_kept(tmp_path) == len(small_experiments())
     assert results(tmp_path) == results(whole)
 
 
@@ -104,7 +102,7 @@ def test_killed_workers_and_all_the_run_goes_on_with_more_of_them(whole: Path, t
     process = interrupt_after(tmp_path, 2, 2, signal.SIGKILL)
     process.communicate(timeout=PATIENCE)
     kept = rows_kept(tmp_path)
-    assert kept < len(small_tasks())
+    assert kept < len(small_experiments())
     with (tmp_path / f".{SMALL}.jsonl").open("ab") as journal:
         journal.write(b'{"key": "cut o')  # as a crash may leave it
     done = subprocess.run(
@@ -114,7 +112,7 @@ def test_killed_workers_and_all_the_run_goes_on_with_more_of_them(whole: Path, t
         text=True,
         check=True,
     )
-    assert f"{kept} of {len(small_tasks())} were done before" in done.stdout
+    assert f"{kept} of {len(small_experiments())} were done before" in done.stdout
     assert results(tmp_path) == results(whole)
 
 
@@ -124,17 +122,18 @@ def test_what_is_done_is_not_done_again_unless_told_to(
     before = results(whole)
     done: list[dict[str, object]] = []
 
+    @wraps(experiments.certified)
     def nothing(**arguments: object) -> Row:
         done.append(arguments)
         return {}
 
-    monkeypatch.setitem(tasks.KINDS, "retraction", nothing)
+    monkeypatch.setattr(experiments, "certified", nothing)
     reproduce([small], whole, "coarse", workers=1, console=Console(quiet=True))
     assert done == []
     assert results(whole) == before
     with pytest.raises(KeyError):  # these rows are empty
         reproduce([small], whole, "coarse", workers=1, fresh=True, console=Console(quiet=True))
-    assert len(done) == len(small_tasks())
+    assert len(done) == len(small_experiments())
 
 
 @pytest.mark.slow
@@ -160,36 +159,11 @@ def test_a_ray_cluster_of_two_nodes_finds_the_same(whole: Path, tmp_path: Path) 
     assert results(tmp_path) == results(whole)
 
 
-# --- Tasks
-
-
-def test_a_result_belongs_to_its_work_its_resolution_and_its_code(monkeypatch: pytest.MonkeyPatch) -> None:
-    task = small_tasks()[0]
-    keys = {key_of(task.work("coarse")), key_of(task.work("fine")), key_of(small_tasks()[1].work("coarse"))}
-    monkeypatch.setattr(tasks, "code_version", lambda: "0+other")
-    keys.add(key_of(task.work("coarse")))
-    assert len(keys) == 4
-    renamed = Task(task.kind, task.arguments, {"called": "otherwise"})
-    assert key_of(renamed.work("coarse")) in keys
-
-
-def test_work_for_other_code_is_refused() -> None:
-    work = small_tasks()[0].work("coarse") | {"code": "0.0.9+something"}
-    with pytest.raises(ConfigError, match=r"the work is for 0\.0\.9\+something"):
-        evaluate(work)
-
-
-def test_friction_without_bound_goes_into_json(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(tasks.KINDS, "retraction", lambda **_: {"required_friction": float("inf")})
-    row = evaluate(small_tasks()[0].work("coarse"))
-    assert json.loads(json.dumps(row, allow_nan=False)) == {"required_friction": "inf"}
-
-
 def test_the_paths_of_fig_8_come_in_the_papers_order(whole: Path, small: str) -> None:
     """Where strains differ by more than they are known to, CTC has the least of all four with B at 25 %."""
     with (whole / f"{small}.csv").open() as file:
         rows = [{**row, "x": float(row["x"])} for row in csv.DictReader(file)]
-    places, curves = strains(rows, "homogeneous")
+    places, curves = strain_curves(rows, "homogeneous")
     for path in ("circular", "linear60", "linear75"):
         for i in range(len(places)):
             assert not better(curves[path][i], curves["ctc"][i]), (path, places[i])
@@ -201,7 +175,7 @@ def test_the_paths_of_fig_8_come_in_the_papers_order(whole: Path, small: str) ->
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["fig88"], "unknown study 'fig88', allowed fig7, fig8, fig11, fig12"),
+        (["fig88"], "unknown study 'fig88', allowed fig7, fig8, fig9, fig11, fig12"),
         (["fig8", "--cluster", "auto", "--workers", "2"], "--workers and --cluster: allowed one of them"),
     ],
 )

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,19 +14,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from baselines.jobs.journal import key_of
-from baselines.paper import grips, lines, paths, pruning, stiffness
-from baselines.paper.report import Claim, Report, paper_scene, percent, with_line, write
-from baselines.paper.studies import STUDIES
-from baselines.paper.tasks import Row, Task
+from baselines.jobs.journal import Row, key_of
+from baselines.paper.experiments import Experiment
+from baselines.paper.studies import STUDIES, fig7, fig8, fig12, light_grip, pruning, study
+from baselines.paper.study import Claim, Report, paper_scene, percent, with_line, write
+from planners.paths import PATHS
 from retract_env.spring import SpringModel
 
+ROOT = Path(__file__).resolve().parents[3]
 WORK = {"fig7": 2, "fig8": 80, "fig9": 1, "fig11": 44, "fig12": 1250, "pruning": 6, "light_grip": 420}
 
 
-def rows_of(tasks: list[Task], result: Callable[[Row], Row]) -> list[Row]:
-    """Rows as the finite elements might have found them: result of each task's label and arguments."""
-    return [{**task.label, **result({**task.arguments, **task.label})} for task in tasks]
+def rows_of(experiments: list[Experiment], result: Callable[[Row], Row]) -> list[Row]:
+    """Rows as the finite elements might have found them: result of each one's label and arguments."""
+    return [{**one.label, **result({**one.arguments, **one.label})} for one in experiments]
 
 
 def retracted(strain: float, reason: str = "ok", friction: float = 0.2) -> Row:
@@ -37,7 +41,7 @@ def retracted(strain: float, reason: str = "ok", friction: float = 0.2) -> Row:
 
 
 def reported(name: str, rows: list[Row]) -> Report:
-    report = STUDIES[name].report(rows)
+    report = study(name).report(rows)
     assert isinstance(report.figure.axes, list)
     assert report.figure.axes
     return report
@@ -48,12 +52,42 @@ def agreement(report: Report, words: str) -> Claim:
     return claim
 
 
+# --- The registry
+
+
+def test_names_are_listed_without_importing_the_studies() -> None:
+    code = (
+        "import sys\n"
+        "from baselines.cli.app import main\n"
+        "main(['reproduce', '--help'])\n"
+        "print(sorted({'matplotlib', 'planners', 'baselines.paper.study'} & set(sys.modules)))\n"
+    )
+    environment = os.environ | {"COLUMNS": "200", "TERM": "dumb"}
+    told = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, env=environment, capture_output=True, text=True, check=True
+    ).stdout
+    assert ", ".join(STUDIES) in " ".join(told.split())
+    assert told.splitlines()[-1] == "[]"
+
+
+@pytest.mark.parametrize("name", list(STUDIES))
+def test_a_study_bears_the_name_that_it_goes_by(name: str) -> None:
+    assert study(name).name == name
+
+
+def test_every_file_of_the_folder_is_a_study() -> None:
+    folder = ROOT / "baselines" / "paper" / "studies"
+    assert {f"baselines.paper.studies.{path.stem}" for path in folder.glob("[!_]*.py")} == set(
+        STUDIES.values()
+    )
+
+
 # --- Work
 
 
 @pytest.mark.parametrize("name", list(STUDIES))
 def test_the_work_is_plain_data_and_no_piece_is_done_twice(name: str) -> None:
-    works = [task.work("fine") for task in STUDIES[name].tasks()]
+    works = [experiment.work("fine") for experiment in study(name).experiments()]
     assert len({key_of(work) for work in works}) == len(works) == WORK[name]
     assert json.loads(json.dumps(works, allow_nan=False)) == works
 
@@ -67,9 +101,9 @@ def test_lines_are_counted_from_the_fixed_end() -> None:
 
 
 def test_a_report_is_written_whole(tmp_path: Path) -> None:
-    study = STUDIES["fig8"]
-    rows = rows_of(study.tasks(), lambda _: retracted(0.3))
-    written = write(study, rows, tmp_path, "coarse")
+    fig8 = study("fig8")
+    rows = rows_of(fig8.experiments(), lambda _: retracted(0.3))
+    written = write(fig8, rows, tmp_path, "coarse")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["fig8.csv", "fig8.md", "fig8.png"]
     assert {path.name for path in written} == {"fig8.csv", "fig8.md", "fig8.png"}
     page = (tmp_path / "fig8.md").read_text()
@@ -77,7 +111,7 @@ def test_a_report_is_written_whole(tmp_path: Path) -> None:
     assert "| said | found | agrees |" in page
     assert "`retract reproduce fig8 --resolution coarse`" in page
     again = [path.read_bytes() for path in sorted(tmp_path.iterdir())]
-    write(study, rows, tmp_path, "coarse")
+    write(fig8, rows, tmp_path, "coarse")
     assert [path.read_bytes() for path in sorted(tmp_path.iterdir())] == again
 
 
@@ -95,7 +129,7 @@ HIGHEST = by_path(ctc=0.40, circular=0.30, linear60=0.30, linear75=0.30)
 
 @pytest.mark.parametrize(("found", "agrees"), [(LOWEST, "yes"), (EQUAL, "yes"), (HIGHEST, "no")])
 def test_fig8_compares_paths(found: Callable[[Row], Row], agrees: str) -> None:
-    report = reported("fig8", rows_of(STUDIES["fig8"].tasks(), found))
+    report = reported("fig8", rows_of(study("fig8").experiments(), found))
     assert agreement(report, "(a)").agrees == agrees
     assert agreement(report, "(b)").agrees == ("yes" if agrees == "no" else "no")
 
@@ -105,18 +139,30 @@ def test_fig8_names_the_exceptions() -> None:
         failed = row["path"] == "ctc" and -0.016 < row["x"] < -0.014
         return retracted(0.31, "slip") if failed else LOWEST(row)
 
-    report = reported("fig8", rows_of(STUDIES["fig8"].tasks(), found))
+    report = reported("fig8", rows_of(study("fig8").experiments(), found))
     assert agreement(report, "(a)").agrees == "in part"
     assert "-15.0 mm (circular and linear, 60° and linear, 75°)" in agreement(report, "(a)").found
     assert any("CTC: 2 needs too much friction" in note for note in report.notes)
 
 
 def test_what_fails_is_worse_than_what_does_not() -> None:
-    assert paths.better(0.49, math.nan)
-    assert not paths.better(math.nan, 0.49)
-    assert not paths.better(math.nan, math.nan)
-    assert not paths.better(0.30, 0.303)
-    assert paths.better(0.30, 0.31)
+    assert fig8.better(0.49, math.nan)
+    assert not fig8.better(math.nan, 0.49)
+    assert not fig8.better(math.nan, math.nan)
+    assert not fig8.better(0.30, 0.303)
+    assert fig8.better(0.30, 0.31)
+
+
+@pytest.mark.parametrize("name", ["fig8", "fig11"])
+def test_a_further_kind_of_path_does_not_enter_the_papers_figures(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    figure = study(name)
+    before = [key_of(one.work("coarse")) for one in figure.experiments()]
+    monkeypatch.setitem(PATHS, "steep", PATHS["ctc"])
+    rows = rows_of(figure.experiments(), LOWEST)
+    assert [key_of(one.work("coarse")) for one in figure.experiments()] == before
+    assert len(write(figure, rows, tmp_path, "coarse")) == 3
 
 
 @pytest.mark.parametrize(("veins", "agrees"), [(3, "yes"), (6, "in part")])
@@ -124,7 +170,7 @@ def test_fig11_finds_the_best_grasp(veins: int, agrees: str) -> None:
     def found(row: Row) -> Row:
         return retracted(LOWEST(row)["max_strain"] - 0.05 * (row["veins_beyond"] == veins))
 
-    report = reported("fig11", rows_of(STUDIES["fig11"].tasks(), found))
+    report = reported("fig11", rows_of(study("fig11").experiments(), found))
     assert agreement(report, "usually").agrees == "yes"
     assert agreement(report, "same best grasp").agrees == agrees
     assert {row["veins_beyond"] for row in report.table} == set(range(11))
@@ -136,7 +182,7 @@ def test_fig11_finds_the_best_grasp(veins: int, agrees: str) -> None:
 def best_at(place: Callable[[float, float], float], friction: float = 0.0) -> list[Row]:
     """Rows whose strain is least where `place` of (position, slope) says, as a part from the open end."""
     return rows_of(
-        lines.line_tasks(lines.POSITIONS, lines.SLOPES, 50),
+        fig12.line_experiments(fig12.POSITIONS, fig12.SLOPES, 50),
         lambda row: retracted(
             0.25 + abs(1 + row["x"] / 0.05 - place(row["position"], row["slope"])), friction=friction
         ),
@@ -160,10 +206,10 @@ def test_fig12_leaves_out_what_the_friction_limit_forbids() -> None:
         far = row["x"] < -0.03
         return retracted(0.2 if far else 0.3, friction=0.9 if far else 0.1)
 
-    rows = rows_of(lines.line_tasks((0.25,), (45,), 10), found)
-    assert {row["x"] > -0.031 for row in lines.best_of(rows, 0.5).values()} == {True}
-    assert {row["x"] < -0.031 for row in lines.best_of(rows, math.inf).values()} == {True}
-    assert lines.best_of(rows, 0.05) == {}
+    rows = rows_of(fig12.line_experiments((0.25,), (45,), 10), found)
+    assert {row["x"] > -0.031 for row in fig12.best_of(rows, 0.5).values()} == {True}
+    assert {row["x"] < -0.031 for row in fig12.best_of(rows, math.inf).values()} == {True}
+    assert fig12.best_of(rows, 0.05) == {}
 
 
 # --- Fig. 7
@@ -189,7 +235,7 @@ def springs(name: str, factor: Callable[[Any], Any]) -> Row:
 
 
 def test_fig7_agrees_where_both_are_the_same() -> None:
-    report = reported("fig7", [springs(name, np.ones_like) for name in stiffness.SCENES])
+    report = reported("fig7", [springs(name, np.ones_like) for name in fig7.SCENES])
     assert {claim.agrees for claim in report.claims} == {"yes"}
     assert "1000 times less" in report.claims[1].found
     assert "correlate with 1.00" in report.notes[0]
@@ -219,7 +265,7 @@ def searches(cpu: dict[str, float], strain: float = 0.26) -> list[Row]:
             "wall_seconds": cpu[row["pruning"]],
         }
 
-    return rows_of(pruning.pruning_tasks(["ten_veins"]), found)
+    return rows_of(pruning.pruning_experiments(["ten_veins"]), found)
 
 
 @pytest.mark.parametrize(
@@ -238,12 +284,12 @@ def test_grips_are_compared_on_the_same_grasps() -> None:
         )
         return retracted(strain, "slip" if row["x"] > -0.012 else "ok")
 
-    tasks = grips.grip_tasks(["homogeneous"], (0.35, 0.25))
-    rows = rows_of(tasks, found)
+    experiments = light_grip.grip_experiments(["homogeneous"], (0.35, 0.25))
+    rows = rows_of(experiments, found)
     report = reported("light_grip", rows)
     assert [claim.agrees for claim in report.claims] == ["yes", "yes"]
     assert "35 %: 0.280 to 0.110" in report.claims[0].found
-    strain = grips.strain_map_of(rows, "homogeneous", "ctc", "light")
+    strain = light_grip.strain_table(rows, "homogeneous", "ctc", "light")
     assert strain.shape == (2, 10)
     assert np.isnan(strain[:, -2:]).all()
     assert not np.isnan(strain[:, :-2]).any()

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 import retract_env
-from planners.certify import REASONS, Certificate, certify
+from planners.certify import REASONS, Certificate, Trial, certify, differences
+from planners.certify.trial import VERIFIED_IN
 from planners.paths import ctc
 from retract_env.errors import Diverged
 from retract_env.grasp import Grasp, JawPath
@@ -154,11 +155,15 @@ def one_line(call: Callable[[], object]) -> str:
 def test_verification_reports_the_differences_to_the_finer_mesh() -> None:
     scene, grasp, path = a_scene(), a_grasp(), ctc(a_scene(), a_grasp())
     certificate = certify(scene, grasp, path, "coarse", verify=True)
-    plain, finer = retraction(scene), certify(scene, grasp, path, "medium")
+    trial = Trial(scene, grasp, path, "medium", VERIFIED_IN)
+    trial.squeeze()
+    trial.move()
+    plain, finer = retraction(scene), trial.certificate()
     word = certificate.verification
     assert word is not None
     assert word["resolution"] == "medium"
     assert (word["nodes"], word["reason"]) == (finer.mesh["nodes"], finer.reason)
+    assert word["increments"] == finer.increments > 2 * plain.increments
     assert word["max_strain"] == finer.max_strain
     assert word["max_strain_difference"] == pytest.approx(plain.max_strain / finer.max_strain - 1, rel=1e-12)
     assert word["required_friction_difference"] == plain.required_friction - finer.required_friction
@@ -234,3 +239,45 @@ def test_unknown_resolutions_are_refused() -> None:
     assert message == "resolution = 'superb', allowed coarse, medium, fine, finer"
     message = one_line(lambda: certify(a_scene(), a_grasp(), path, "finer", verify=True))
     assert message == "resolution = 'finer' has no finer one to verify with, allowed coarse, medium, fine"
+
+
+# --- Computed again
+
+
+def test_the_same_retraction_shows_no_differences() -> None:
+    scene, grasp = a_scene(), a_grasp()
+    again = certify(scene, grasp, ctc(scene, grasp), "coarse")
+    said = Certificate.from_json(json.loads(json.dumps(again.to_json())))
+    assert differences(said, retraction(scene)) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"max_strain": 0.1}, "max_strain = 0.1, recomputed 0.28"),
+        ({"reason": "slip", "certified": False}, "certified = False, recomputed True"),
+        ({"grasp": {"x": -0.02, "compression": 0.0011}}, "grasp.x = -0.02, recomputed -0.025"),
+        ({"scene_hash": "0" * 64}, "scene_hash = '00000"),
+        ({"friction_limit": math.inf}, "friction_limit = 'inf', recomputed 5"),
+    ],
+)
+def test_a_certificate_that_was_changed_and_sealed_again_is_found(change: dict[str, Any], named: str) -> None:
+    """Whoever changes the content can make a new hash; computing it again is what tells."""
+    true = retraction(a_scene())
+    found = differences(replace(true, **change), true)
+    assert any(line.startswith(named) for line in found)
+
+
+def test_a_difference_in_the_history_names_its_place() -> None:
+    true = retraction(a_scene())
+    strain = list(true.history["strain"])
+    strain[3] += 1e-3
+    found = differences(replace(true, history={**true.history, "strain": strain}), true)
+    assert len(found) == 1
+    assert found[0].startswith("history.strain[3] = ")
+
+
+def test_certificates_from_before_peaks_were_looked_for_are_read() -> None:
+    old = replace(retraction(a_scene()), peaks=None).to_json()
+    assert not {"peaks", "clearance_limit"} & set(old)
+    assert Certificate.from_json(json.loads(json.dumps(old))).to_json() == old

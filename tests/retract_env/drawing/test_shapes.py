@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from retract_env.drawing.shapes import JawShapes, SectionTopology, hidden_region
+from retract_env.drawing.shapes import JawShapes, SectionTopology, hidden_region, sight_reach
 from retract_env.scene import Scene
 from tests.retract_env.lifted import lifted
 
@@ -26,6 +26,14 @@ def test_the_hidden_region_is_bounded_by_the_ray_that_meets_the_bed_first() -> N
     # Lifted by 1, the ray over (-4, 1) goes 6 across and 7 down: 48 / 7 across when it meets the bed, 8 down.
     lifted_box = hidden_region(box + np.array((0.0, 1.0)), (-10.0, 8.0))
     assert np.allclose(lifted_box[-2:], [(-4, 1), (-10 + 48 / 7, 0)])
+
+
+def test_the_line_of_sight_is_shown_up_to_the_camera_or_to_the_nearest_border() -> None:
+    away = np.array([-0.6, 0.8])
+    assert sight_reach((1.0, 2.0), away, 3.0, left=-9.0, top=99.0) == 3.0
+    assert sight_reach((1.0, 2.0), away, 30.0, left=-9.0, top=6.0) == pytest.approx(4 / 0.8)
+    assert sight_reach((1.0, 2.0), away, 30.0, left=-2.0, top=99.0) == pytest.approx(3 / 0.6)
+    assert sight_reach((1.0, 2.0), (0.0, 1.0), 30.0, left=-2.0, top=9.0) == 7.0  # never meets the left border
 
 
 def test_the_outline_runs_from_the_foot_of_the_fixed_end_along_the_lower_surface_and_round() -> None:

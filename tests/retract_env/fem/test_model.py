@@ -242,3 +242,15 @@ def test_without_gravity_jaws_on_a_mirrored_flap_push_alike() -> None:
     mirrored = model.section.points * [1, -1] + [0, HEIGHT]
     partner = [np.argmin(np.hypot(*(model.section.points - p).T)) for p in mirrored]
     assert np.abs(now[partner] - (now * [1, -1] + [0, HEIGHT])).max() < 1e-12
+
+
+def test_the_prism_knows_where_a_levels_displacements_stand(model: FlapModel) -> None:
+    """The view has what the numbering says, and what is written into it lands there and nowhere else."""
+    prism, nodes = model.prism, np.arange(len(model.section.points))
+    u = np.arange(float(prism.size))
+    for level in range(prism.levels):
+        at = np.stack([prism.x(nodes, np.array([level])), prism.y(nodes, np.array([level]))], axis=1)
+        assert np.array_equal(prism.in_plane(u, level), u[at])
+        moved = u.copy()
+        prism.in_plane(moved, level)[:] = -1.0
+        assert np.array_equal(np.flatnonzero(moved != u), np.sort(at.ravel()))

@@ -42,7 +42,7 @@ def follow(equilibrium: Equilibrium, poses: Array, u: Array) -> tuple[Array, Arr
     for pose in poses:
         moved = u.copy()
         model.place_jaws(moved, to_jaws(pose))
-        equilibrium.usable = False
+        equilibrium.forget()
         first = u + equilibrium.step(u, moved - u)
         first[model.driven] = moved[model.driven]
         u, force = equilibrium.solve(first)
@@ -99,7 +99,7 @@ def test_the_predicted_step_is_right_to_first_order(model: FlapModel, bent_flap:
     for part in (0.5, 0.25):
         moved = u.copy()
         model.place_jaws(moved, to_jaws(BENT + part * change))
-        equilibrium.usable = False
+        equilibrium.forget()
         predicted = u + equilibrium.step(u, moved - u)
         errors.append(np.abs(predicted - settled(model, predicted)[0]).max())
     assert np.log2(errors[0] / errors[1]) == pytest.approx(2, abs=0.2)
@@ -236,3 +236,15 @@ def test_the_number_of_steps_does_not_matter(model: FlapModel) -> None:
         poses = np.concatenate([between(REST, SQUEEZED, 2), between(SQUEEZED, BENT, steps)])
         found.append(relax(model, follow(Equilibrium(model), poses, model.at_rest())[0][-1])[0])
     assert np.abs(found[0] - found[1]).max() < 1e-9 * LENGTH
+
+
+def test_what_is_forgotten_leaves_no_trace(model: FlapModel, bent_flap: Array) -> None:
+    """After other equilibria an answer is that of a new solver, to the last bit, once they are forgotten."""
+    guess = model.at_rest()
+    model.place_jaws(guess, to_jaws(REST))
+    expected = Equilibrium(model).solve(guess)
+    used = Equilibrium(model)
+    used.solve(bent_flap)
+    used.forget()
+    for one, other in zip(used.solve(guess), expected, strict=True):
+        assert np.array_equal(one, other)

@@ -205,3 +205,34 @@ def test_a_state_is_not_changed_by_what_follows() -> None:
     before = pose.copy()
     assert np.array_equal(physics.move_to(pose, 6.0).jaws, to_jaws(before))
     assert np.array_equal(pose, before)
+
+
+# --- Between equilibria
+
+
+def test_a_state_between_two_is_found_and_the_flap_stays_where_it_is() -> None:
+    """The same state as on the way there, whether both sides tell of it or the jaws have to go there."""
+    scene = flap()
+    physics = FemPhysics(scene, -0.03, "coarse")
+    physics.reset()
+    poses = [np.array([-0.03, HEIGHT / 2 + rise, 0.0, 0.8 * HEIGHT]) for rise in (0.0, 1e-3, 2e-3, 3e-3)]
+    known, on_the_way = [], []
+    for k, pose in enumerate(poses):
+        on_the_way.append(physics.move_to(pose, float(k + 1)))
+        known.append((float(k + 1), physics.displacements))
+    here = physics.state()
+    both_sides = [known[0], known[2], known[3]]
+    found, shape = physics.between(both_sides, poses[0], poses[1], 2.0)
+    np.testing.assert_allclose(found.points, on_the_way[1].points, atol=1e-7)
+    np.testing.assert_allclose(found.reactions, on_the_way[1].reactions, atol=1e-6)
+    np.testing.assert_array_equal(physics.state().points, here.points)
+
+    # nonsense on one side, as after a snap: from the earlier one then
+    inside_out = known[2][1] + 1e3 * np.sin(np.arange(len(shape)))
+    found, _ = physics.between([known[0], (3.0, inside_out)], poses[0], poses[1], 2.0)
+    np.testing.assert_allclose(found.points, on_the_way[1].points, atol=1e-7)
+    np.testing.assert_array_equal(physics.state().points, here.points)
+
+    physics.resume(poses[1], 2.0, known[1][1])
+    np.testing.assert_allclose(physics.state().points, on_the_way[1].points, atol=1e-12)
+    np.testing.assert_allclose(physics.state().reactions, on_the_way[1].reactions, atol=1e-9)

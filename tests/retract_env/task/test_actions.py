@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from retract_env.grasp import Grasp
 from retract_env.mesh import patch_ends
 from retract_env.scene import sample_scene
-from retract_env.task import actions, default_scene
+from retract_env.task import TaskConfig, actions, default_scene
 
 numbers = st.tuples(*[st.floats(-1, 1)] * 3).map(np.array)
 seeds = st.integers(0, 10_000)
@@ -54,12 +54,12 @@ def test_the_ends_of_the_range() -> None:
 @given(numbers, numbers)
 def test_a_move_and_its_action(action: Any, here: Any) -> None:
     pose = np.append(here, 3e-3)
-    there = actions.to_pose(action, pose)
+    there = actions.moved(action, pose)
     assert there[3] == pose[3]
     assert np.abs(there - pose)[:3] == pytest.approx(np.abs(action) * [2e-3, 2e-3, math.radians(6)])
-    assert actions.from_pose(there, pose) == pytest.approx(action, abs=1e-9)
+    assert actions.move_towards(there, pose) == pytest.approx(action, abs=1e-9)
     # a whole turn more is the same place
-    assert actions.from_pose(there + np.array([0, 0, 2 * math.pi, 0]), pose) == pytest.approx(
+    assert actions.move_towards(there + np.array([0, 0, 2 * math.pi, 0]), pose) == pytest.approx(
         action, abs=1e-9
     )
 
@@ -67,12 +67,12 @@ def test_a_move_and_its_action(action: Any, here: Any) -> None:
 @few
 @given(numbers, st.floats(1.0, 100.0))
 def test_a_move_to_a_far_pose_goes_straight_towards_it(action: Any, times: float) -> None:
-    target = times * np.append(action * actions.STEP, 0.0)
+    target = times * np.append(action * TaskConfig().move, 0.0)
     target[2] = np.clip(target[2], -3.0, 3.0)
-    step = actions.from_pose(target, np.zeros(4))
+    step = actions.move_towards(target, np.zeros(4))
     assert np.abs(step).max() <= 1 + 1e-12
-    assert np.cross(step, target[:3] / actions.STEP) == pytest.approx(np.zeros(3), abs=1e-9)
-    assert step @ (target[:3] / actions.STEP) >= 0
+    assert np.cross(step, target[:3] / TaskConfig().move) == pytest.approx(np.zeros(3), abs=1e-9)
+    assert step @ (target[:3] / TaskConfig().move) >= 0
 
 
 def test_numbers_outside_are_clipped() -> None:

@@ -19,7 +19,19 @@ from retract_env.mesh import RESOLUTIONS, section_mesh
 from retract_env.objectives import verdict
 from retract_env.scene import LineOfSight, Scene, load_scene, sample_scene
 from retract_env.spring import SpringModel
-from retract_env.task import CAP, LAYOUT, SLICES, RetractionTask, Situation, task
+from retract_env.task import (
+    HIGH,
+    LAYOUT,
+    LOW,
+    SIZE,
+    SLICES,
+    Outcome,
+    RetractionTask,
+    Situation,
+    TaskConfig,
+    Weights,
+    task,
+)
 from retract_env.task.rest import rest_section, rest_state
 
 SCENES = Path(__file__).resolve().parents[3] / "configs" / "scenes"
@@ -52,8 +64,8 @@ measures = st.tuples(
 def test_parts_follow_one_another_and_fill_the_vector() -> None:
     ends = [part.stop for part in SLICES.values()]
     assert [part.start for part in SLICES.values()] == [0, *ends[:-1]]
-    assert ends[-1] == task.SIZE == len(task.LOW) == len(task.HIGH)
-    assert (task.LOW < task.HIGH).all()
+    assert ends[-1] == SIZE == len(LOW) == len(HIGH)
+    assert (LOW < HIGH).all()
 
 
 def test_the_environments_docstring_is_the_layout() -> None:
@@ -123,7 +135,7 @@ def test_observations_keep_their_bounds(
     state = replace(now.state, jaws=to_jaws(pose), points=now.state.points + far)
     seen = rules.observation(replace(now, state=state, steps=64))
     assert seen.dtype == np.float32 and np.isfinite(seen).all()
-    assert ((seen >= task.LOW) & (seen <= task.HIGH)).all()
+    assert ((seen >= LOW) & (seen <= HIGH)).all()
 
 
 # --- Reward
@@ -140,15 +152,15 @@ def test_an_episodes_reward_depends_on_where_it_went_and_not_how_long(
     way = [rules.begin()]
     for made_up in steps:
         way.append(situation(scene, *made_up, before=way[-1]))
-    terms = [rules.reward_terms(a, b, None) for a, b in pairwise(way)]
-    total = {name: sum(t[name] for t in terms) for name in task.WEIGHTS}
+    terms = [rules.reward_terms(a, b, Outcome()) for a, b in pairwise(way)]
+    total = {name: sum(t[name] for t in terms) for name in Weights.model_fields}
     worst = max(s[0] for s in steps), max(s[1] for s in steps)
     last = way[-1]
     assert total["exposure"] == pytest.approx(last.exposure, abs=1e-12)
     outset = way[0].state.clearance
     assert total["clearance"] == pytest.approx(np.clip(1 - last.state.clearance / outset, 0, 1), abs=1e-12)
-    assert total["strain"] == pytest.approx(-0.5 * min(worst[0] / 0.5, CAP))
-    assert total["friction"] == pytest.approx(-0.25 * min(worst[1] / 0.5, CAP))
+    assert total["strain"] == pytest.approx(-0.5 * min(worst[0] / 0.5, TaskConfig().cap))
+    assert total["friction"] == pytest.approx(-0.25 * min(worst[1] / 0.5, TaskConfig().cap))
     assert total["success"] == total["failure"] == 0
 
 
@@ -161,9 +173,9 @@ def test_rewards_keep_their_range(
     rules = RetractionTask(scene)
     before = situation(scene, *one)
     now = situation(scene, *other, before=before)
-    terms = rules.reward_terms(before, now, rules.verdict(now))
-    assert set(terms) == set(task.WEIGHTS)
-    low, high = task.REWARD_RANGE
+    terms = rules.reward_terms(before, now, rules.judge(before, now))
+    assert set(terms) == set(Weights.model_fields)
+    low, high = TaskConfig().reward_range
     assert low <= sum(terms.values()) <= high
 
 
@@ -171,7 +183,9 @@ def test_success_pays_more_the_less_the_strain() -> None:
     scene = task.default_scene()
     rules = RetractionTask(scene)
     bonus = [
-        rules.reward_terms(rules.begin(), situation(scene, strain, 0.1, 0.0, 1.0), "ok")["success"]
+        rules.reward_terms(rules.begin(), situation(scene, strain, 0.1, 0.0, 1.0), Outcome(True, True))[
+            "success"
+        ]
         for strain in (0.0, 0.25, 0.5)
     ]
     assert bonus == pytest.approx([2.0, 1.5, 1.0])
@@ -183,7 +197,7 @@ def test_a_safe_success_pays_more_than_any_failure_and_failure_less_than_staying
 
     def total(strain: float, friction: float, clear: float, seen: float) -> float:
         now = situation(scene, strain, friction, clear, seen)
-        return sum(rules.reward_terms(rules.begin(), now, rules.verdict(now)).values())
+        return sum(rules.reward_terms(rules.begin(), now, rules.judge(rules.begin(), now)).values())
 
     worst_success = total(0.5, 0.5, 0.0, 1.0)
     best_failures = [total(0.5 + 1e-9, 0.0, 0.1, 1.0), total(0.0, 0.5 + 1e-9, 0.1, 1.0)]
@@ -203,9 +217,10 @@ def test_the_verdict_is_the_certifiers(made_up: tuple[float, float, float, float
     now = situation(scene, *made_up)
     strain, friction, clear, _ = made_up
     expected = verdict(strain, friction, clear, scene.limits.strain, scene.limits.friction)
-    assert rules.verdict(now) == expected
+    outcome = rules.judge(rules.begin(), now)
+    assert outcome.over == (expected is not None)
     assert rules.cost(now) == (strain > 0.5) + (friction > 0.5)
-    info = rules.info(now, {}, expected)
+    info = rules.info(now, {}, outcome)
     assert info["is_success"] == (expected == "ok")
     assert info["failure"] == ("" if expected in (None, "ok") else expected)
 
@@ -214,7 +229,7 @@ def test_nothing_is_judged_before_the_jaws_close() -> None:
     scene = task.default_scene()
     rules = RetractionTask(scene)
     now = replace(situation(scene, 0.9, math.inf, 0.1, 1.0), holding=False)
-    assert rules.verdict(now) is None
+    assert rules.judge(now, now) == Outcome()
 
 
 @pytest.mark.parametrize("field", ["points", "strain", "jaws", "reactions", "max_strain", "clearance"])

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
-from baselines.paper.report import Agreement, Claim, Report, Study, new_figure, paper_scene
-from baselines.paper.tasks import Row, Task
-from baselines.pictures.drawing import MM
-from planners.deform_closure import NODES, PAIRS, Closure, closure_grasps
+from baselines.jobs.journal import Row
+from baselines.paper.experiments import Experiment
+from baselines.paper.study import Agreement, Claim, Report, Study, new_figure, paper_scene
+from baselines.pictures.drawing import KPA_PER_MM, MM, draw_flap_at_rest
+from planners.deform_closure import NODES, PAIRS, Closure, brute_force, closure_grasps
 from planners.proposals import stable_grasps
-from retract_env.drawing.palette import GREY, INK, LIMIT, VALUE, VEIN, VEIN_EDGE
+from retract_env.drawing.palette import GREY, LIMIT, VALUE
 from retract_env.grasp import Grasp
 from retract_env.scene import Scene
 from retract_env.spring import SpringModel
@@ -24,14 +25,15 @@ from retract_env.spring import SpringModel
 Array = NDArray[np.float64]
 
 TOP = 15
-KPA_PER_MM = 1e-6  # of one Pa/m
+"""Grasps of each method that are compared."""
 FINE = 2001
 """Points of the spring model's curve in the picture."""
 SCENES = ("ten_veins", "twenty_veins")
 PAPER_AGREE = 8
+"""Of those, how many the paper finds in both."""
 
 
-class Ranked(NamedTuple):
+class Rankings(NamedTuple):
     """Stable grasps of both methods, best first, `TOP` at most, and which of the first the second has too."""
 
     brute: list[Grasp]
@@ -39,12 +41,12 @@ class Ranked(NamedTuple):
     shared: list[bool]
 
 
-def ranked(scene: Scene, found: Closure) -> Ranked:
+def rankings(scene: Scene, found: Closure) -> Rankings:
     """The agreement: a brute-force grasp is shared where a spring grasp is within half a jaw's width of
     it."""
     brute, spring = closure_grasps(scene, found)[:TOP], stable_grasps(scene)[:TOP]
     near = scene.jaws.width / 2
-    return Ranked(brute, spring, [any(abs(b.x - s.x) <= near for s in spring) for b in brute])
+    return Rankings(brute, spring, [any(abs(b.x - s.x) <= near for s in spring) for b in brute])
 
 
 def closure_of(row: Row) -> Closure:
@@ -53,10 +55,35 @@ def closure_of(row: Row) -> Closure:
     return Closure(x, k, strain, row["nodes"])
 
 
-def _tasks() -> list[Task]:
+def stiffness(resolution: str, scene: Any, pairs: int, nodes: int) -> Row:  # noqa: ARG001, `nodes` says it
+    """Brute force and spring model, with times, s."""
+    flap = Scene.from_data(scene)
+    brute_force(flap, pairs=3, nodes=100)  # the kernels are loaded
+    SpringModel(flap.tissue).stable_grasps()
+    start, cpu = time.perf_counter(), time.process_time()
+    found = brute_force(flap, pairs, nodes)
+    fem, fem_cpu = time.perf_counter() - start, time.process_time() - cpu
+    start, cpu = time.perf_counter(), time.process_time()
+    spring = SpringModel(flap.tissue)
+    stable_grasps(flap)
+    spent, spent_cpu = time.perf_counter() - start, time.process_time() - cpu
+    return {
+        "x": found.x.tolist(),
+        "k_fem": found.k.tolist(),
+        "strain_fem": found.strain.tolist(),
+        "k_spring": spring.k_eq(found.x).tolist(),
+        "nodes": found.nodes,
+        "fem_seconds": fem,
+        "fem_cpu_seconds": fem_cpu,
+        "spring_seconds": spent,
+        "spring_cpu_seconds": spent_cpu,
+    }
+
+
+def _experiments() -> list[Experiment]:
     return [
-        Task(
-            "stiffness",
+        Experiment(
+            stiffness,
             {"scene": paper_scene(name).dump(), "pairs": PAIRS, "nodes": NODES},
             {"scene": name},
         )
@@ -70,7 +97,7 @@ def _report(rows: Sequence[Row]) -> Report:
     claims, notes = [], []
     for column, row in enumerate(rows):
         scene, found = paper_scene(row["scene"]), closure_of(row)
-        both = ranked(scene, found)
+        both = rankings(scene, found)
         _draw_flap(panels[0, column], scene)
         panels[0, column].set_title(f"{len(scene.tissue.veins)} veins, seen from the side")
         k_spring = np.array(row["k_spring"])
@@ -113,7 +140,7 @@ def _report(rows: Sequence[Row]) -> Report:
     )
 
 
-def _agreement(scene: Scene, both: Ranked) -> Claim:
+def _agreement(scene: Scene, both: Rankings) -> Claim:
     shared, of = sum(both.shared), len(both.brute)
     agrees: Agreement = "yes" if shared >= PAPER_AGREE / TOP * of else "no"
     few = "" if of == TOP else f" (there are no more than {of})"
@@ -149,14 +176,9 @@ def _ranks(scene: Scene, found: Closure, k_spring: Array) -> str:
 
 
 def _draw_flap(axes: Axes, scene: Scene) -> None:
-    length, height = scene.tissue.length * MM, scene.tissue.height * MM
-    axes.add_patch(
-        Polygon([(-length, 0), (0, 0), (0, height), (-length, height)], facecolor="none", edgecolor=INK)
-    )
-    for vein in scene.tissue.veins:
-        outline = np.array(vein.outline) * MM
-        axes.add_patch(Polygon(outline, facecolor=VEIN, edgecolor=VEIN_EDGE, linewidth=0.8))
-    axes.set_ylim(-0.3, height + 0.3)
+    draw_flap_at_rest(axes, scene.tissue)
+    axes.autoscale_view()
+    axes.set_ylim(-0.3, scene.tissue.height * MM + 0.3)
     axes.set_aspect("equal")
     axes.set_axis_off()
 
@@ -176,4 +198,4 @@ def _draw_curve(axes: Axes, x: Array, k: Array, grasps: Sequence[Grasp], colour:
     axes.set_title(f"{title}: the first {len(grasps)} stable grasps")
 
 
-FIG7 = Study("fig7", "spring model against brute force", _tasks, _report)
+STUDY = Study("fig7", "spring model against brute force", _experiments, _report)

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from numpy.typing import NDArray
 
+from baselines.jobs.journal import Row
+from baselines.paper.experiments import Experiment, retraction, tried
 from baselines.paper.maps import draw_map
-from baselines.paper.report import Claim, Report, Study, new_figure, paper_scene, percent, with_line
-from baselines.paper.tasks import Row, Task, light_grip, retraction
+from baselines.paper.study import Claim, Report, Study, new_figure, paper_scene, percent, with_line
 from baselines.pictures.drawing import MM, strain_map
-from planners.light_grip import MARGIN
+from planners.light_grip import MARGIN, LightGrip
 from planners.proposals import stable_grasps
+from retract_env.grasp import Grasp
+from retract_env.scene import Scene
 
 Array = NDArray[np.float64]
 
@@ -24,19 +28,19 @@ POSITIONS = (0.55, 0.45, 0.35, 0.25, 0.15)
 SLOPE = 45.0
 """degrees"""
 SCENES = {"homogeneous": "homogeneous", "ten_veins": "ten veins"}
-PATHS = {"ctc": "CTC", "circular": "circular"}
+KINDS = {"ctc": "CTC", "circular": "circular"}
 GRIPS = {"eq5": "Eq. 5", "light": "lightest that holds"}
 
 
-def grip_tasks(scenes: Sequence[str], positions: Sequence[float]) -> list[Task]:
+def grip_experiments(scenes: Sequence[str], positions: Sequence[float]) -> list[Experiment]:
     """Every stable grasp, line and path, gripped by Eq. 5 and as lightly as holds."""
-    tasks = []
+    experiments = []
     for name in scenes:
         scene = paper_scene(name)
         for position in positions:
             lined = with_line(scene, position, math.radians(SLOPE)).dump()
             for grasp in sorted(stable_grasps(scene), key=lambda grasp: grasp.x):
-                for path in PATHS:
+                for path in KINDS:
                     for grip, make in (("eq5", retraction), ("light", light_grip)):
                         label = {
                             "scene": name,
@@ -45,11 +49,22 @@ def grip_tasks(scenes: Sequence[str], positions: Sequence[float]) -> list[Task]:
                             "path": path,
                             "grip": grip,
                         }
-                        tasks.append(make(lined, grasp.x, grasp.compression, path, label))
-    return tasks
+                        experiments.append(make(lined, grasp.x, grasp.compression, path, label))
+    return experiments
 
 
-def strain_map_of(rows: Sequence[Row], scene: str, path: str, grip: str) -> Array:
+def light_grip(scene: Mapping[str, Any], x: float, compression: float, path: str, label: Row) -> Experiment:
+    """Certify the lightest grip that holds there; the compression is where its search begins."""
+    arguments = {"scene": scene, "x": x, "compression": compression, "path": path}
+    return Experiment(lightly_gripped, arguments, label)
+
+
+def lightly_gripped(resolution: str, scene: Any, x: float, compression: float, path: str) -> Row:
+    """What becomes of a grasp, m, with a path in PATHS, closed as lightly as holds."""
+    return tried(LightGrip, Scene.from_data(scene), Grasp(x, compression), path, resolution)
+
+
+def strain_table(rows: Sequence[Row], scene: str, path: str, grip: str) -> Array:
     """(positions, grasps) eps_max, nan where not certified; positions towards the fixed end, grasps from the
     free."""
     mine = [r for r in rows if (r["scene"], r["path"], r["grip"]) == (scene, path, grip)]
@@ -59,8 +74,8 @@ def strain_map_of(rows: Sequence[Row], scene: str, path: str, grip: str) -> Arra
     return np.array([[found[p, x] for x in places] for p in positions], float)
 
 
-def _tasks() -> list[Task]:
-    return grip_tasks(list(SCENES), POSITIONS)
+def _experiments() -> list[Experiment]:
+    return grip_experiments(list(SCENES), POSITIONS)
 
 
 def _report(rows: Sequence[Row]) -> Report:
@@ -73,10 +88,10 @@ def _report(rows: Sequence[Row]) -> Report:
         places = sorted({row["x"] for row in rows if row["scene"] == name})
         positions = sorted({row["position"] for row in rows}, reverse=True)
         columns, lines = [f"{-x * MM:.0f}" for x in places], [percent(p) for p in positions]
-        maps = {(p, g): strain_map_of(rows, name, p, g) for p in PATHS for g in GRIPS}
+        maps = {(p, g): strain_table(rows, name, p, g) for p in KINDS for g in GRIPS}
         for axes, ((path, grip), values) in zip(panels[line], maps.items(), strict=True):
             draw_map(axes, values, columns, lines, strain_map(), norm, ".2f", size=7.0)
-            axes.set_title(f"{SCENES[name]}, {PATHS[path]}, {GRIPS[grip]}")
+            axes.set_title(f"{SCENES[name]}, {KINDS[path]}, {GRIPS[grip]}")
             axes.set_xlabel("grasp, mm from the fixed end")
         panels[line, 0].set_ylabel("line of sight, from the fixed end")
         claims += _claims(SCENES[name], positions, maps)
@@ -127,4 +142,4 @@ def _claims(scene: str, positions: Sequence[float], maps: dict[tuple[str, str], 
     ]
 
 
-STUDY = Study("light_grip", "the lightest grip that holds", _tasks, _report)
+STUDY = Study("light_grip", "the lightest grip that holds", _experiments, _report)

@@ -1,5 +1,4 @@
-"""Figs. 8 and 11: strain of four paths from the same grasps, on homogeneous tissue and on ten veins. Sec.
-V-B."""
+"""Fig. 8: strain of four paths from the same grasps, on homogeneous tissue. Sec. V-B."""
 
 from __future__ import annotations
 
@@ -10,9 +9,10 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from baselines.paper.report import (
+from baselines.jobs.journal import Row
+from baselines.paper.experiments import Experiment, retraction
+from baselines.paper.study import (
     EQUAL,
-    Agreement,
     Claim,
     Report,
     Study,
@@ -21,14 +21,14 @@ from baselines.paper.report import (
     paper_scene,
     percent,
 )
-from baselines.paper.tasks import Row, Task, retraction
 from baselines.pictures.drawing import MM
-from planners.proposals import PATHS, stable_grasps
+from planners.paths import PAPER_PATHS
+from planners.proposals import stable_grasps
 from retract_env.drawing.palette import GREY, INK, LIMIT, SIGHT, VALUE
 from retract_env.scene import Scene
 
 FAILED = 0.5
-"""Where the paper draws what fails."""
+"""Strain at which retractions that fail are drawn, as in the paper."""
 LOOKS = {
     "ctc": ("CTC", VALUE, "o"),
     "circular": ("circular", LIMIT, "s"),
@@ -37,13 +37,13 @@ LOOKS = {
 }
 
 
-def path_tasks(scenes: Sequence[Scene]) -> list[Task]:
+def path_experiments(scenes: Sequence[Scene]) -> list[Experiment]:
     """Every stable grasp of every scene, free end first, with every path."""
-    tasks = []
+    experiments = []
     for scene in scenes:
         veins = [np.mean(vein.outline, axis=0)[0] for vein in scene.tissue.veins]
         for grasp in sorted(stable_grasps(scene), key=lambda grasp: grasp.x):
-            for path in PATHS:
+            for path in PAPER_PATHS:
                 label = {
                     "scene": scene.name,
                     "target": scene.line_of_sight.target[0],
@@ -51,11 +51,11 @@ def path_tasks(scenes: Sequence[Scene]) -> list[Task]:
                     "veins_beyond": sum(x < grasp.x for x in veins),
                     "path": path,
                 }
-                tasks.append(retraction(scene.dump(), grasp.x, grasp.compression, path, label))
-    return tasks
+                experiments.append(retraction(scene.dump(), grasp.x, grasp.compression, path, label))
+    return experiments
 
 
-def strains(rows: Sequence[Row], scene: str) -> tuple[list[float], dict[str, list[float]]]:
+def strain_curves(rows: Sequence[Row], scene: str) -> tuple[list[float], dict[str, list[float]]]:
     """Grasps, m, and for each path the strain of each grasp; nan where the retraction is not certified."""
     places = sorted({row["x"] for row in rows if row["scene"] == scene})
     found = {
@@ -63,7 +63,7 @@ def strains(rows: Sequence[Row], scene: str) -> tuple[list[float], dict[str, lis
         for row in rows
         if row["scene"] == scene
     }
-    return places, {path: [found[path, x] for x in places] for path in PATHS}
+    return places, {path: [found[path, x] for x in places] for path in PAPER_PATHS}
 
 
 def better(a: float, b: float) -> bool:
@@ -90,16 +90,16 @@ def draw_strains(axes: Axes, at: Sequence[float], curves: dict[str, list[float]]
     axes.set_ylabel("strain eps_max")
 
 
-def _fig8_tasks() -> list[Task]:
-    return path_tasks([paper_scene("homogeneous"), paper_scene("homogeneous_near")])
+def _experiments() -> list[Experiment]:
+    return path_experiments([paper_scene("homogeneous"), paper_scene("homogeneous_near")])
 
 
-def _fig8_report(rows: Sequence[Row]) -> Report:
+def _report(rows: Sequence[Row]) -> Report:
     figure = new_figure(10.0, 4.0)
     panels = figure.subplots(1, 2, sharey=True)
     titles = {"homogeneous": "(a) line of sight at 25 %", "homogeneous_near": "(b) line of sight at 15 %"}
     for axes, (name, title) in zip(panels, titles.items(), strict=True):
-        places, curves = strains(rows, name)
+        places, curves = strain_curves(rows, name)
         draw_strains(axes, [x * MM for x in places], curves)
         axes.set_title(f"{title} of the length from the fixed end, 45°")
         axes.set_xlabel("grasp, mm from the fixed end")
@@ -108,18 +108,18 @@ def _fig8_report(rows: Sequence[Row]) -> Report:
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
 
     claims = []
-    places, curves = strains(rows, "homogeneous")
-    worse = _beaten(places, curves)
+    places, curves = strain_curves(rows, "homogeneous")
+    worse = beaten(places, curves)
     certified = sum(not np.isnan(v) for v in curves["ctc"])
     claims.append(
         Claim(
             "(a) CTC strains less than circular and linear paths from every grasp",
-            f"of {len(places)} grasps CTC is certified from {certified}; {_exceptions(worse, len(places))}",
+            f"of {len(places)} grasps CTC is certified from {certified}; {exceptions(worse, len(places))}",
             "yes" if not worse else "in part" if len(worse) <= len(places) / 3 else "no",
         )
     )
     claims.append(_near_claim(rows))
-    notes = [_least(rows, list(titles)), _failures(rows)]
+    notes = [_least(rows, list(titles)), failures(rows)]
     return Report(
         "Fig. 8: paths compared on homogeneous tissue",
         "Ten grasps along a homogeneous flap, compressed by Eq. 5, are retracted along four paths until "
@@ -134,7 +134,7 @@ def _fig8_report(rows: Sequence[Row]) -> Report:
 
 
 def _near_claim(rows: Sequence[Row]) -> Claim:
-    places, curves = strains(rows, "homogeneous_near")
+    places, curves = strain_curves(rows, "homogeneous_near")
     free = [i for i, x in enumerate(places) if x < np.mean(places)]
     winners = [i for i in free if better(curves["circular"][i], curves["ctc"][i])]
     listed = ", ".join(
@@ -149,7 +149,7 @@ def _near_claim(rows: Sequence[Row]) -> Claim:
     )
 
 
-def _beaten(places: Sequence[float], curves: dict[str, list[float]]) -> list[str]:
+def beaten(places: Sequence[float], curves: dict[str, list[float]]) -> list[str]:
     """Grasps from which another path is better than CTC."""
     found = []
     for i, x in enumerate(places):
@@ -159,7 +159,7 @@ def _beaten(places: Sequence[float], curves: dict[str, list[float]]) -> list[str
     return found
 
 
-def _exceptions(worse: Sequence[str], of: int) -> str:
+def exceptions(worse: Sequence[str], of: int) -> str:
     return f"another path is better from {len(worse)} of {of}" + (f": {', '.join(worse)}" if worse else "")
 
 
@@ -173,7 +173,7 @@ def _least(rows: Sequence[Row], scenes: Sequence[str]) -> str:
     for path, (name, *_) in LOOKS.items():
         cells = []
         for scene in scenes:
-            places, curves = strains(rows, scene)
+            places, curves = strain_curves(rows, scene)
             values = curves[path]
             known = not np.all(np.isnan(values))
             cells.append(
@@ -185,59 +185,14 @@ def _least(rows: Sequence[Row], scenes: Sequence[str]) -> str:
     return "\n".join(lines)
 
 
-def _failures(rows: Sequence[Row]) -> str:
+def failures(rows: Sequence[Row]) -> str:
     words = {"slip": "needs too much friction", "strain": "too much strain", "not_visible": "stays hidden"}
     parts = []
-    for path, reason in product(PATHS, sorted({row["reason"] for row in rows} - {"ok"})):
+    for path, reason in product(PAPER_PATHS, sorted({row["reason"] for row in rows} - {"ok"})):
         count = sum(row["path"] == path and row["reason"] == reason for row in rows)
         if count:
             parts.append(f"{LOOKS[path][0]}: {count} {words.get(reason, reason)}")
     return "Not certified: " + ("; ".join(parts) or "none") + "."
 
 
-def _fig11_tasks() -> list[Task]:
-    return path_tasks([paper_scene("ten_veins")])
-
-
-def _fig11_report(rows: Sequence[Row]) -> Report:
-    figure = new_figure(8.0, 4.2)
-    axes = figure.subplots()
-    places, curves = strains(rows, "ten_veins")
-    beyond = {row["x"]: row["veins_beyond"] for row in rows}
-    draw_strains(axes, list(range(len(places))), curves)
-    axes.set_xticks(range(len(places)), [f"{beyond[x]}\n{x * MM:.1f}" for x in places])
-    axes.set_xlabel("veins between grasp and free end; grasp, mm from the fixed end")
-    axes.set_title("ten veins, grasps between them")
-    axes.text(axes.get_xlim()[0], 0.505, " not certified", fontsize=8.5, va="bottom")
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
-
-    worse = _beaten(places, curves)
-    best = {p: places[int(np.nanargmin(v))] for p, v in curves.items() if not np.all(np.isnan(v))}
-    usual: Agreement = "yes" if len(worse) < len(places) / 2 else "no"
-    same = best.get("ctc") is not None and best.get("ctc") == best.get("circular")
-    told = "; ".join(
-        f"{LOOKS[p][0]} {np.nanmin(curves[p]):.3f} with {beyond[x]} veins beyond it" for p, x in best.items()
-    )
-    claims = [
-        Claim("CTC usually strains least, with exceptions", _exceptions(worse, len(places)), usual),
-        Claim(
-            "CTC and circular find the same best grasp, between veins 3 and 4",
-            f"best: {told}",
-            "yes" if same and beyond[best["ctc"]] == 3 else "in part" if same else "no",
-        ),
-    ]
-    return Report(
-        "Fig. 11: paths compared on ten veins",
-        "Every stable grasp of the flap with ten veins (the paper's grasps between veins, and one at each "
-        "end), compressed by Eq. 5, is retracted along four paths until the target is in view; line of "
-        f"sight of 45° at 25 % of the length. Strains that differ by less than {percent(EQUAL)} count as "
-        "equal. The veins are drawn after Fig. 10, whose coordinates are not published.",
-        rows,
-        figure,
-        claims,
-        [_failures(rows)],
-    )
-
-
-FIG8 = Study("fig8", "four paths on homogeneous tissue", _fig8_tasks, _fig8_report)
-FIG11 = Study("fig11", "four paths on ten veins", _fig11_tasks, _fig11_report)
+STUDY = Study("fig8", "four paths on homogeneous tissue", _experiments, _report)

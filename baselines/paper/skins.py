@@ -28,7 +28,7 @@ class Faces(TypedDict):
     strain: list[float]
 
 
-def surfaces(trial: Trial) -> tuple[Faces, Faces]:
+def skins(trial: Trial) -> tuple[Faces, Faces]:
     """Skin of the flap and of its veins as a trial left them, on both sides of the plane of symmetry."""
     physics = trial.physics
     assert physics is not None

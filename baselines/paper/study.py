@@ -15,15 +15,15 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from baselines.jobs.files import written_whole
+from baselines.jobs.journal import Row
 from baselines.jobs.version import code_version
-from baselines.paper.tasks import Row, Task
+from baselines.paper.experiments import Experiment
 from baselines.pictures.drawing import STYLE
-from retract_env.config import CONFIGS
 from retract_env.scene import LineOfSight, Scene, load_scene
 
 DPI = 160
 EQUAL = 0.02
-"""Strains that differ by less than this part are equal: the finite elements are no closer to the truth."""
+"""Strains that differ by less than this part count as equal: the finite elements know them no better."""
 
 Agreement = Literal["yes", "in part", "no"]
 
@@ -52,18 +52,18 @@ class Report:
 
 @dataclass(frozen=True)
 class Study:
-    """Work to be done, and what is made of its rows."""
+    """Experiments to be done, and what is made of their rows."""
 
     name: str
     about: str
     """one line"""
-    tasks: Callable[[], list[Task]]
+    experiments: Callable[[], list[Experiment]]
     report: Callable[[Sequence[Row]], Report]
 
 
 def paper_scene(name: str) -> Scene:
-    """A shipped scene, by its name."""
-    return load_scene(CONFIGS / "scenes" / f"{name}.yaml")
+    """A shipped scene, by its name. Raises SceneError for an unknown one."""
+    return load_scene(name)
 
 
 def with_line(scene: Scene, position: float, slope: float) -> Scene:

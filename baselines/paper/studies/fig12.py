@@ -10,8 +10,10 @@ from matplotlib import colormaps
 from matplotlib.colors import Normalize
 from numpy.typing import NDArray
 
+from baselines.jobs.journal import Row
+from baselines.paper.experiments import Experiment, retraction
 from baselines.paper.maps import draw_map
-from baselines.paper.report import (
+from baselines.paper.study import (
     EQUAL,
     Agreement,
     Claim,
@@ -23,7 +25,6 @@ from baselines.paper.report import (
     percent,
     with_line,
 )
-from baselines.paper.tasks import Row, Task, retraction
 from baselines.pictures.drawing import strain_map
 from planners.proposals import uniform_grasps
 from retract_env.scene import Limits
@@ -36,22 +37,24 @@ SLOPES = (30, 45, 60, 75, 90)
 """degrees"""
 GRASPS = 50
 UNLIMITED = 5.0
-"""Friction limit of the runs, the highest of all; what the paper's one allows is sorted out afterwards."""
+"""Friction limit of the retractions, the highest that a scene may have: which of them a lower limit allows is
+read off the rows."""
 RANGE = (0.15, 0.45)
+"""Where the paper finds the best grasps, from the open end, as parts of the length."""
 
 
-def line_tasks(positions: Sequence[float], slopes: Sequence[float], grasps: int) -> list[Task]:
+def line_experiments(positions: Sequence[float], slopes: Sequence[float], grasps: int) -> list[Experiment]:
     """Grasps along the flap for every line, CTC, and with friction to spare."""
     scene = paper_scene("homogeneous")
     limits = Limits(strain=scene.limits.strain, friction=UNLIMITED)
-    tasks = []
+    experiments = []
     for slope in slopes:
         for position in positions:
             lined = with_line(scene, position, math.radians(slope)).model_copy(update={"limits": limits})
             for grasp in uniform_grasps(scene, grasps):
                 label = {"position": position, "slope": slope, "x": grasp.x}
-                tasks.append(retraction(lined.dump(), grasp.x, grasp.compression, "ctc", label))
-    return tasks
+                experiments.append(retraction(lined.dump(), grasp.x, grasp.compression, "ctc", label))
+    return experiments
 
 
 def best_of(rows: Sequence[Row], friction: float) -> dict[tuple[float, float], Row]:
@@ -65,8 +68,8 @@ def best_of(rows: Sequence[Row], friction: float) -> dict[tuple[float, float], R
     return best
 
 
-def _tasks() -> list[Task]:
-    return line_tasks(POSITIONS, SLOPES, GRASPS)
+def _experiments() -> list[Experiment]:
+    return line_experiments(POSITIONS, SLOPES, GRASPS)
 
 
 def _report(rows: Sequence[Row]) -> Report:
@@ -192,4 +195,4 @@ def _security(rows: Sequence[Row], needed: Array, best: dict[tuple[float, float]
     )
 
 
-FIG12 = Study("fig12", "the best grasp for many lines of sight", _tasks, _report)
+STUDY = Study("fig12", "the best grasp for many lines of sight", _experiments, _report)

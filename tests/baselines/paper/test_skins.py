@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from baselines.paper.surfaces import Faces, surfaces
-from baselines.paper.wide import Camera
+from baselines.paper.skins import Faces, skins
+from baselines.paper.studies.fig9 import Camera
 from planners.certify import Trial
 from planners.paths import ctc
 from retract_env.scene import Scene, Tissue
@@ -44,7 +44,7 @@ def triangles(faces: Faces) -> Array:
 @pytest.mark.parametrize("which", [0, 1])
 def test_a_surface_is_closed_and_turned_outwards(which: int) -> None:
     """Its normals add up to nothing, and by Gauss it encloses the volume of the flap, or of the veins."""
-    p, q, r = np.moveaxis(triangles(surfaces(squeezed())[which]), 1, 0)
+    p, q, r = np.moveaxis(triangles(skins(squeezed())[which]), 1, 0)
     normals = np.cross(q - p, r - p) / 2
     area = np.linalg.norm(normals, axis=1).sum()
     assert np.abs(normals.sum(axis=0)).max() < 1e-3 * area
@@ -55,14 +55,14 @@ def test_a_surface_is_closed_and_turned_outwards(which: int) -> None:
 
 
 def test_every_face_has_a_strain() -> None:
-    for faces in surfaces(squeezed()):
+    for faces in skins(squeezed()):
         assert len(faces["strain"]) == len(faces["corners"]) > 0
         assert min(faces["strain"]) >= 0
         assert max(faces["strain"]) > 0
 
 
 def test_both_sides_mirror_each_other() -> None:
-    points = np.concatenate([np.array(c).reshape(-1, 3) for c in surfaces(squeezed())[0]["corners"]])
+    points = np.concatenate([np.array(c).reshape(-1, 3) for c in skins(squeezed())[0]["corners"]])
     here = {tuple(p) for p in points.tolist()}
     assert {(x, y, -z) for x, y, z in here} == here
 

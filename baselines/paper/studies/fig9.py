@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,10 +13,13 @@ from matplotlib.collections import PolyCollection
 from matplotlib.colors import Normalize, to_rgb
 from numpy.typing import NDArray
 
-from baselines.paper.report import Claim, Report, Study, new_figure, number, paper_scene
-from baselines.paper.surfaces import Faces
-from baselines.paper.tasks import Row, Task
+from baselines.jobs.journal import Row
+from baselines.paper.experiments import Experiment
+from baselines.paper.skins import Faces, skins
+from baselines.paper.study import Claim, Report, Study, new_figure, number, paper_scene
 from baselines.pictures.drawing import MM, strain_map
+from planners import plan
+from planners.certify import Trial
 from retract_env.drawing.palette import GROUND, HATCH, INK, SIGHT
 from retract_env.scene import Scene
 
@@ -110,8 +115,38 @@ def _draw_jaws(axes: Axes, row: Row, scene: Scene, camera: Camera) -> None:
         )
 
 
-def _tasks() -> list[Task]:
-    return [Task("solid", {"scene": paper_scene("wide").dump()})]
+def solid(resolution: str, scene: Any) -> Row:
+    """One retraction of a deep flap, from the grasp that is best where the flap is as deep as high."""
+    deep = Scene.from_data(scene)
+    narrow = deep.tissue.model_copy(update={"depth": deep.tissue.height})
+    best = plan(deep.model_copy(update={"tissue": narrow}), "ctc", resolution, 1)
+    start, cpu = time.perf_counter(), time.process_time()
+    trial = Trial(deep, best.grasp, best.path, resolution)
+    trial.squeeze()
+    trial.move()
+    spent, spent_cpu = time.perf_counter() - start, time.process_time() - cpu
+    certificate = trial.certificate()
+    skin, veins = skins(trial)
+    return {
+        "x": trial.grasp.x,
+        "compression": trial.grasp.compression,
+        "reason": certificate.reason,
+        "max_strain": certificate.max_strain,
+        "narrow_strain": best.certificate.max_strain,
+        "required_friction": certificate.required_friction,
+        "clearance": certificate.clearance,
+        "increments": certificate.increments,
+        "nodes": certificate.mesh["nodes"],
+        "cpu_seconds": spent_cpu,
+        "wall_seconds": spent,
+        "jaws": trial.frames[-1].jaws.tolist(),
+        "skin": skin,
+        "veins": veins,
+    }
+
+
+def _experiments() -> list[Experiment]:
+    return [Experiment(solid, {"scene": paper_scene("wide").dump()})]
 
 
 def _report(rows: Sequence[Row]) -> Report:
@@ -161,4 +196,4 @@ def _report(rows: Sequence[Row]) -> Report:
     )
 
 
-FIG9 = Study("fig9", "the wide flap", _tasks, _report)
+STUDY = Study("fig9", "the wide flap", _experiments, _report)

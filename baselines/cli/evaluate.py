@@ -1,0 +1,56 @@
+"""`retract evaluate`: what a trained policy does on frozen scenes, certified."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from baselines.cli.console import announce_compilation, exit_codes
+from baselines.cli.work import BenchmarkOption, JobsOption, expected, frozen_scenes, run_with_bar
+
+if TYPE_CHECKING:
+    from baselines.benchmark.references import Reference
+
+
+def evaluate_command(
+    policy: Annotated[Path, typer.Option(help="Folder of a trained policy, or the name of a shipped one.")],
+    split: Annotated[str, typer.Option(help="Which of the frozen scenes.")] = "validation",
+    scenes: Annotated[int | None, typer.Option(min=1, help="Only so many.")] = None,
+    transfer: Annotated[bool, typer.Option("--transfer", help="Play it on Bullet too.")] = False,
+    jobs: JobsOption = None,
+    benchmark: BenchmarkOption = None,
+) -> None:
+    """Certify what a trained policy does on frozen scenes, beside the best retractions known there."""
+    with exit_codes(), expected():
+        from baselines.benchmark.methods import Method, compete
+        from baselines.benchmark.references import load_references
+        from baselines.benchmark.report import in_text
+        from baselines.benchmark.scores import summaries
+        from baselines.benchmark.splits import load_benchmark
+        from baselines.benchmark.tasks import tasks_of
+
+        about = load_benchmark(frozen_scenes(benchmark))
+        tasks = tasks_of(about, [Method.trained(policy)], [split], scenes, transfer)
+        announce_compilation()
+        rows = run_with_bar(tasks, compete, None, jobs, None, split)
+        known = load_references(about.resolution)
+        for row in rows:
+            typer.echo(f"{split} {row['number']}: {_outcome(row, known.get(row['scene_hash']))}")
+        missing = sum(row["scene_hash"] not in known for row in rows)
+        best = None if missing else {scene: reference.strain for scene, reference in known.items()}
+        typer.echo(in_text(summaries(rows, best, about.seed, about.bootstrap)))
+        if missing:
+            typer.echo(f"no score and no excess: {missing} of {len(rows)} scenes have no reference")
+
+
+def _outcome(row: Mapping[str, Any], reference: Reference | None) -> str:
+    """The verdict, and the strain beside the least one known."""
+    text = str(row["reason"])
+    if row["max_strain"] is not None:
+        text += f", strain {row['max_strain']:.3f}"
+    if reference is not None:
+        text += f", best known {reference.strain:.3f} by {reference.method}"
+    return text

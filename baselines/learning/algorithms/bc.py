@@ -1,0 +1,60 @@
+"""Behaviour cloning: least squares between the policy's mean action and the demonstrated one."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any
+
+from pydantic import BeforeValidator
+
+from baselines.learning.algorithms.base import Actor, Learner
+from baselines.learning.fields import Count, Rate, Share, Weight
+from retract_env.config import Name, brief, refusal
+
+if TYPE_CHECKING:
+    from stable_baselines3.common.vec_env import VecNormalize
+
+    from baselines.learning.agents import Agent
+    from baselines.learning.recipe import Recipe
+
+
+def _actors() -> dict[str, Actor]:
+    """Policies that can be cloned into, by their algorithms."""
+    from baselines.learning.algorithms import ALGORITHMS
+
+    return {name: kind.ACTOR for name, kind in ALGORITHMS.items() if kind.ACTOR is not None}
+
+
+def _has_an_actor(value: Any) -> Any:
+    if not isinstance(value, str) or value not in _actors():
+        raise refusal(f" = {brief(value)}, allowed {', '.join(_actors())}")
+    return value
+
+
+class BC(Learner):
+    """Behaviour cloning, by AdamW."""
+
+    policy: Annotated[str, BeforeValidator(_has_an_actor)]
+    """The algorithm whose policy it fits, so that this one can go on from the result."""
+    dataset: Name
+    """A Minari data set."""
+    learning_rate: Rate
+    """At the start; it falls to zero as a cosine."""
+    batch_size: Count
+    weight_decay: Share
+    grasp_weight: Weight
+    """How many times a move the choice of the grasp counts: there is one in an episode."""
+    stiffness_noise: Weight
+    """Deviation of the noise on the normalised k_eq: half of the observation, of which little depends."""
+
+    @property
+    def actor(self) -> Actor:
+        return _actors()[self.policy]
+
+    def build(self, envs: VecNormalize, shape: dict[str, Any], seed: int) -> Any:
+        return self.actor.untrained(envs, shape, seed)
+
+    def agent(self, recipe: Recipe, envs: VecNormalize, seed: int, demos: int | None) -> Agent:
+        from baselines.learning.cloning import Cloner
+        from baselines.learning.demos import load_demos
+
+        return Cloner(recipe, self, envs, seed, load_demos(self.dataset, demos))

@@ -1,0 +1,95 @@
+"""`retract train` from the console: what it refuses, and how it stops and goes on."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import yaml
+
+pytest.importorskip("stable_baselines3")
+pytest.importorskip("sb3_contrib")
+pytest.importorskip("tensorboard")
+
+from baselines.cli import main
+from baselines.cli.console import announce_compilation
+from baselines.learning.train import CHECKPOINT
+from retract_env.fem import kernels, kernels_are_cached
+from tests.baselines.trained import recipe
+
+ROOT = Path(__file__).resolve().parents[3]
+SMALL = {"rollout": 16, "batch_size": 8, "epochs": 1}
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    file = tmp_path / "recipe.yaml"
+    file.write_text(yaml.safe_dump(recipe("ppo", 10**6, 10**6, 32, **SMALL).dump()))
+    return file
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["ppo", "--from", "nope"], "nope/policy.json: no such file"),
+        (["ppo", "--from", "bc-0"], "network: layers, activation and output "),
+        (["ppo", "--demos", "3"], "demos = 3, but ppo learns from no data set"),
+        (["sac"], "algorithm = 'ppo', asked for 'sac'"),
+        (["ddpg"], "algorithm = 'ddpg', allowed ppo, sac, tqc, bc"),
+        (["ppo", "--resume"], "--config, --envs: not with --resume"),
+    ],
+)
+def test_what_cannot_be_trained_leaves_nothing(
+    tmp_path: Path, config: Path, options: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "run"
+    assert main(["train", *options, "--config", str(config), "--envs", "1", "--out", str(out)]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1 and said in lines[0]
+    assert not out.exists()
+
+
+def test_interrupted_it_says_how_to_go_on(tmp_path: Path, config: Path) -> None:
+    """Ctrl-C reaches the environments' processes as well; what is said is one line."""
+    out = tmp_path / "run"
+    console = "import sys; from baselines.cli.app import main; sys.exit(main())"
+    command = [sys.executable, "-c", console, "train", "ppo", "--config", str(config), "--envs", "2"]
+    process = subprocess.Popen(
+        [*command, "--out", str(out)], cwd=ROOT, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    deadline = time.monotonic() + 120
+    while not (out / CHECKPOINT).exists():
+        assert time.monotonic() < deadline and process.poll() is None
+        time.sleep(0.05)
+    os.killpg(process.pid, signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert errors == f"interrupted; go on with `retract train ppo --resume --out {out}`\n"
+    assert process.returncode == 130
+
+
+def test_what_compiles_is_said_for_what_is_used(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Bullet needs the residual alone; what is compiled for another processor does not count."""
+    from numba.core.registry import cpu_target
+
+    here = cpu_target.target_context.codegen().magic_tuple()
+
+    def keep(kernel: object, *processors: object) -> None:
+        index = {("signature", processor, "code"): "file" for processor in processors}
+        monkeypatch.setattr(kernel._cache._cache_file, "_load_index", lambda: index)  # type: ignore[attr-defined]
+
+    keep(kernels.residual, here)
+    keep(kernels.tangent, ("x86_64", "another", ""))
+    assert kernels_are_cached("bullet") and not kernels_are_cached("fem")
+    announce_compilation("bullet")
+    assert capsys.readouterr().out == ""
+    announce_compilation("fem")
+    assert "first run: compiling" in capsys.readouterr().out
+    keep(kernels.tangent, here)
+    assert kernels_are_cached("fem")
