@@ -92,14 +92,9 @@ except ImportError as error:
 
 
 def test_the_packages_are_typed_and_hold_no_tests(wheel: Path) -> None:
-    assert all(
-        (wheel / package / "py.typed").exists() for package in ("retract_env", "planners", "baselines")
-    )
-    assert {path.name for path in wheel.iterdir() if path.suffix != ".dist-info"} == {
-        "retract_env",
-        "planners",
-        "baselines",
-    }
+    packages = {path.name for path in wheel.iterdir() if path.suffix != ".dist-info"}
+    assert packages == {"retract_env", "planners", "baselines"}
+    assert all((wheel / package / "py.typed").exists() for package in packages)
 
 
 def test_what_an_index_shows_has_no_link_into_the_repository(wheel: Path) -> None:

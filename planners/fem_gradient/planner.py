@@ -245,6 +245,8 @@ class Program:
         that were greatest where its earlier answers led, until no other is greater by more than GAP. Its
         columns: step, greatest strain, greatest violation, roughness.
         """
+        from scipy.optimize import linprog  # takes as long to import as all of this package
+
         slopes = motion_slope(self.scene, self.x, self.unknowns, TIMES)
         poses = self._strained(slopes)
         slack, slack_slope = self._constraints(slopes)
@@ -256,8 +258,6 @@ class Program:
         cost = np.array([*[0.0] * 11, 1.0, PENALTY, *[SMOOTH] * lines])
         low, high = np.zeros(len(cost)), np.full(len(cost), np.inf)
         low[:11] = np.maximum(-radius, (LOW - self.unknowns) / UNITS)
-        from scipy.optimize import linprog  # takes as long to import as all of this package
-
         high[:11] = np.minimum(radius, (HIGH - self.unknowns) / UNITS)
         best, best_step, at = math.inf, np.zeros(11), np.zeros(len(cost))
         for _ in range(CUTS):
