@@ -17,36 +17,55 @@ from baselines.cli.console import (
     usable_folder,
     writing,
 )
-from baselines.cli.verdict import Clock, ResolutionOption, VerifyOption, report
+from baselines.cli.verdict import Clock, Resolution, VerifyOption, report
 from baselines.jobs.files import write_json, written_whole
 
 if TYPE_CHECKING:
+    from planners.certify import Certificate
     from retract_env.grasp import Grasp, JawPath
     from retract_env.scene import Scene
+
+
+SHOWN = 3
+"""Differences between a certificate and what its plan comes to that are named."""
 
 
 def certify_command(
     plan_file: Annotated[
         Path, typer.Argument(metavar="PLAN.json", help="A plan written by `retract plan`, or by hand.")
     ],
-    resolution: ResolutionOption = "fine",
+    resolution: Annotated[
+        Resolution | None, typer.Option(help="Mesh of the finite elements; `fine` if not given.")
+    ] = None,
     verify: VerifyOption = False,
     out: Annotated[Path | None, typer.Option(help="File for the certificate, in JSON.")] = None,
+    check: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="CERTIFICATE.json",
+            help="A certificate of this plan: compute it again as it was made, and compare.",
+        ),
+    ] = None,
 ) -> None:
     """Simulate the retraction of a plan and judge it."""
     clock = Clock()
     with exit_codes(), ExitStack() as stack:
+        if check is not None and (out is not None or verify or resolution is not None):
+            raise BadInput("--check: not with --out, --verify or --resolution, the certificate has its own")
         with clock.phase("imports"):
             import planners
             from retract_env.errors import MeshError
         scene, grasp, path = _read_plan(plan_file)
+        said = None if check is None else _read_certificate(check)
         if out is not None:
             stack.enter_context(usable_folder(out.parent))
             check_no_folder(out)
         announce_compilation()
         with clock.phase("simulation"):
             try:
-                certificate = planners.certify(scene, grasp, path, resolution=resolution, verify=verify)
+                mesh = resolution or "fine" if said is None else said.mesh["resolution"]
+                verify = verify if said is None else said.verification is not None
+                certificate = planners.certify(scene, grasp, path, resolution=mesh, verify=verify)
             except MeshError as problem:
                 raise NotCertified(f"not certified: {problem}") from None
         if out is not None:
@@ -54,7 +73,33 @@ def certify_command(
                 write_json(temporary, certificate.to_json())
             typer.echo(f"written: {out}")
         typer.echo(clock.summary())
+        if said is not None:
+            _compare(str(check), said, certificate)
         report(certificate)
+
+
+def _compare(file: str, said: Certificate, found: Certificate) -> None:
+    """Raises NotCertified where a certificate is not what its plan comes to, naming what differs."""
+    from planners.certify import differences
+
+    if wrong := differences(said, found):
+        more = f"; and {len(wrong) - SHOWN} more" if len(wrong) > SHOWN else ""
+        raise NotCertified(f"{file}: not what the plan comes to: {'; '.join(wrong[:SHOWN])}{more}")
+    typer.echo(f"{file}: computed again, all the same")
+
+
+def _read_certificate(file: Path) -> Certificate:
+    from planners.certify import Certificate
+    from retract_env.config import read_json
+    from retract_env.mesh import RESOLUTIONS
+
+    try:
+        said = Certificate.from_json(read_json(file))
+        if said.mesh.get("resolution") not in RESOLUTIONS:
+            raise ValueError(f"certificate.mesh.resolution: allowed {', '.join(RESOLUTIONS)}")
+    except (ValueError, TypeError, AttributeError, OverflowError) as problem:
+        raise BadInput(f"{file}: {problem}") from None
+    return said
 
 
 def _read_plan(file: Path) -> tuple[Scene, Grasp, JawPath]:

@@ -19,6 +19,7 @@ from baselines.cli import main
 from baselines.pictures import film as animation
 from baselines.pictures import still as pictures
 from planners.base import NoPlan, Plan
+from planners.certify import Certificate
 from retract_env.scene import load_scene
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -339,3 +340,37 @@ def test_no_plan_shows_what_was_tried(
     text = capsys.readouterr().out
     assert all(f"{candidate.grasp.x * 1e3:.2f}" in text for candidate in tried)
     assert f"no plan certified: {len(tried)} candidates: {len(tried)} slip" in text
+
+
+# --- A certificate checked
+
+
+def checked(written: Path, certificate: Path) -> int:
+    return main(["certify", str(written / "plan.json"), "--check", str(certificate)])
+
+
+def test_a_true_certificate_is_confirmed(written: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert checked(written, written / "certificate.json") == 0
+    assert "certificate.json: computed again, all the same" in capsys.readouterr().out
+
+
+def test_a_tampered_certificate_is_named(
+    written: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its seal breaks; and where it was sealed again, computing it again tells."""
+    data = json.loads((written / "certificate.json").read_text("utf-8"))
+    file = tmp_path / "certificate.json"
+    file.write_text(json.dumps({**data, "max_strain": 0.01}), "utf-8")
+    assert checked(written, file) == 2
+    assert capsys.readouterr().err == f"error: {file}: certificate: its content does not match its hash\n"
+
+    sealed = replace(Certificate.from_json(data), max_strain=0.01).to_json()
+    file.write_text(json.dumps(sealed), "utf-8")
+    assert checked(written, file) == 1
+    assert "not what the plan comes to: max_strain = 0.01, recomputed 0.2" in capsys.readouterr().out
+
+
+def test_a_certificate_has_its_own_resolution(written: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["certify", str(written / "plan.json"), "--check", str(written / "certificate.json")]
+    assert main([*command, "--resolution", "fine"]) == 2
+    assert "the certificate has its own" in capsys.readouterr().err
