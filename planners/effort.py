@@ -7,8 +7,8 @@ from collections.abc import Callable
 from planners.certify import Retraction
 
 MOST_ITERATIONS = 2_000
-"""Newton iterations for one retraction, or for one optimisation on its poses. Retractions of random flaps took
-up to 900, far wider ranges than `sample_scene`'s and light grips included, and optimisations up to 520."""
+"""Newton iterations for one retraction, or for one optimisation on its poses. Retractions of random flaps
+took up to 900, with light grips and far wider ranges than `sample_scene`'s, and optimisations up to 520."""
 
 
 class TooCostly(Exception):
