@@ -110,12 +110,18 @@ class Measures:
         self._ring = outline_ring(section)
 
     def state(
-        self, u: Array, jaws: Array, reactions: Array, levels: list[Array], progress: float
+        self,
+        u: Array,
+        jaws: Array,
+        reactions: Array,
+        levels: list[Array],
+        progress: float,
+        others: Array | None = None,
     ) -> TissueState:
         """The state at displacements u (n,) m.
 
-        jaws: (4,) m; reactions: (2, 2) N, tissue on jaw; levels: node positions (k, 2) m, the section's nodes
-        first, then all others.
+        jaws: (4,) m; reactions: (2, 2) N, tissue on jaw; levels: where the section's nodes are at each depth,
+        (k, 2) m each, the drawn one first; others: (m, 2) m, nodes that belong to no level.
         """
         stretches = self.assembly.stretches(u)
         per_block = [strain(s) for s in stretches]
@@ -126,7 +132,8 @@ class Measures:
         line = self.scene.line_of_sight
         height = self.scene.tissue.height
         crease = max(doubled(p[self._ring]) for p in levels)
-        seen = [*levels, tool_outline(self.scene, jaws)] if self.scene.jaws.in_sight else levels
+        nodes = levels if others is None else [*levels, others]
+        seen = [*nodes, tool_outline(self.scene, jaws)] if self.scene.jaws.in_sight else nodes
         return TissueState(
             points=levels[0],
             strain=(self._share @ total) / self._volume,
@@ -140,7 +147,7 @@ class Measures:
             progress=progress,
             crease=crease,
             overlap=crease > (EDGE * self.scene.jaws.width) ** 2
-            or any(inside_block(p, height, IN_BLOCK * height) for p in levels),
+            or any(inside_block(p, height, IN_BLOCK * height) for p in nodes),
         )
 
 
@@ -175,7 +182,7 @@ class TetrahedralFlap:
         reactions = -np.array([force[nodes, :2].sum(axis=0) for nodes in self.mesh.patches])
         now = (self.mesh.points + u)[:, :2]
         section = now[self.mesh.section_nodes].mean(axis=1)
-        return self._measures.state(u.ravel(), jaws, reactions, [section, now], progress)
+        return self._measures.state(u.ravel(), jaws, reactions, [section], progress, now)
 
     def frequency(self, u: Array, mass: float, mode: Array | None, iterations: int) -> tuple[float, Array]:
         """Highest angular frequency, rad/s, of small vibrations about u (n, 3) m, by the power method.

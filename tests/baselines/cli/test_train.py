@@ -62,12 +62,16 @@ def test_interrupted_it_says_how_to_go_on(tmp_path: Path, config: Path) -> None:
     process = subprocess.Popen(
         [*command, "--out", str(out)], cwd=ROOT, stderr=subprocess.PIPE, text=True, start_new_session=True
     )
-    deadline = time.monotonic() + 120
-    while not (out / CHECKPOINT).exists():
-        assert time.monotonic() < deadline and process.poll() is None
-        time.sleep(0.05)
-    os.killpg(process.pid, signal.SIGINT)
-    _, errors = process.communicate(timeout=60)
+    try:
+        deadline = time.monotonic() + 240
+        while not (out / CHECKPOINT).exists():
+            assert time.monotonic() < deadline and process.poll() is None
+            time.sleep(0.05)
+        os.killpg(process.pid, signal.SIGINT)
+        _, errors = process.communicate(timeout=60)
+    finally:
+        if process.poll() is None:  # else its environments would go on for ever
+            os.killpg(process.pid, signal.SIGKILL)
     assert errors == f"interrupted; go on with `retract train ppo --resume --out {out}`\n"
     assert process.returncode == 130
 
