@@ -6,12 +6,17 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from retract_env.errors import MeshError
 from retract_env.fem.assembly import Assembly
 from retract_env.fem.prism import Prism
 from retract_env.mesh import RESOLUTIONS, Resolution, SectionMesh
 from retract_env.scene import Scene
 
 Array = NDArray[np.float64]
+
+
+MOST_UNKNOWNS = 150_000
+"""Beyond them an equilibrium takes minutes. The paper's wide flap has 22,000 at "fine", 91,000 at "finer"."""
 
 
 class FlapModel:
@@ -28,10 +33,18 @@ class FlapModel:
         resolution: Resolution = RESOLUTIONS["fine"],
         triangle_points: int = 3,
     ):
-        """resolution: gives the layers over the depth and the bed; the section comes with its own."""
+        """resolution: gives the layers over the depth and the bed; the section comes with its own.
+
+        Raises MeshError for a flap that takes more than `MOST_UNKNOWNS`.
+        """
         tissue = scene.tissue
         self.scene, self.section, self.jaw_x = scene, section, jaw_x
         self.prism = prism = Prism(section, scene, triangle_points, resolution.layers)
+        if prism.size > MOST_UNKNOWNS:
+            raise MeshError(
+                f"tissue: {prism.size} unknowns at {resolution.name!r}, allowed {MOST_UNKNOWNS}; "
+                "the flap is too long or too deep for its height"
+            )
         every = np.arange(prism.levels)
         held = np.flatnonzero(prism.z <= (scene.jaws.depth or tissue.depth) / 2 * (1 + 1e-9))
         self.fixed = np.concatenate(

@@ -29,6 +29,12 @@ SMALLEST_CUT = 1 / 64
 """Part of a step below which it is not cut any further."""
 FIRST_PART = 0.3
 """Part of a step that is tried first after a corner of the path."""
+MOST_ITERATIONS, MOST_WORK = 400, 4_000_000
+"""Newton iterations in one move, and those times the unknowns, so that a move takes seconds at most: at
+`coarse` the first ends it, on meshes of more than 10,000 unknowns the second. Moves on random flaps take 5 to
+20 iterations; the hardest one seen, cut to 1/64 again and again, 206."""
+LEAST_ITERATIONS = 40
+"""Whatever the unknowns."""
 MEMORY = 4
 """Latest equilibria of a path that the next one is extrapolated from."""
 
@@ -110,9 +116,12 @@ class FemPhysics:
         solved.
 
         progress: where this is on a smooth path; equilibria of one path predict the next one. Without it the
-        tangent does.
+        tangent does. Raises Diverged, also where it takes more than `MOST_ITERATIONS` or `MOST_WORK`.
         """
         pose = np.asarray(pose, float)
+        counts, size = self.equilibrium.counts, len(self.model.free)
+        allowed = min(MOST_ITERATIONS, max(LEAST_ITERATIONS, MOST_WORK // max(size, 1)))
+        last = counts["iterations"] + allowed
         start_pose, begin, target = self._pose, self._progress, progress
         # With one equilibrium to look back on, the tangent predicts: small steps first, until two or more of
         # them predict better.
@@ -121,6 +130,8 @@ class FemPhysics:
         start = time.perf_counter()
         try:
             while done < 1.0:
+                if counts["iterations"] > last:
+                    raise Diverged(f"a move took more than {allowed} iterations")
                 share = min(done + part, 1.0)
                 at = None if target is None else begin + share * (target - begin)
                 try:

@@ -18,6 +18,9 @@ from retract_env.task import RetractionTask, Situation, actions, sound
 
 Array = NDArray[np.float64]
 
+MOST_GRASPS = 5
+"""Stable grasps that are tried, best first, before an episode that is to begin on one is given up."""
+
 
 class Episode:
     """Actions to situations, through a physics.
@@ -63,14 +66,17 @@ class Episode:
     def take(self, grasp: Grasp | None) -> None:
         """Close the jaws before the first step, on the spring model's best grasp where none is given.
 
-        Raises Diverged where the tissue cannot be squeezed there, ValueError for a grasp off the flap.
+        Raises Diverged where the tissue cannot be squeezed there, nor at the next `MOST_GRASPS` less one,
+        ValueError for a grasp off the flap.
         """
-        for candidate in spring_grasps(self.task.scene) if grasp is None else [grasp]:
+        candidates = spring_grasps(self.task.scene)[:MOST_GRASPS] if grasp is None else [grasp]
+        for candidate in candidates:
             self.diverged = False
             self._close(candidate)
             if not self.diverged:
                 return
-        raise Diverged(f"no grasp of scene {self.task.scene.name!r} could be squeezed")
+        tried = f"{len(candidates)} grasps" if len(candidates) > 1 else "the grasp"
+        raise Diverged(f"scene {self.task.scene.name!r}: {tried} could not be squeezed")
 
     @property
     def path(self) -> JawPath | None:

@@ -48,6 +48,8 @@ COURANT = 0.7
 QUARTER_SWING = 0.03
 """s of Bullet's time, a quarter of a hanging flap's slowest swing: at some moment in it the swing is
 fastest."""
+MOST_WORK = 25_000_000
+"""Time steps times tetrahedra until a flap has to be at rest: some 20 s."""
 SMALLEST_CUT = 1 / 64
 """Part of a move below which it is not cut any further."""
 LIFTED = 3e-4
@@ -147,8 +149,10 @@ class BulletPhysics:
     def settle(self, speed: float = 1e-3, calm: float = QUARTER_SWING, longest: int = 20_000) -> TissueState:
         """Hold the jaws until no node has been faster than `speed`, m/s, for a time `calm`, s of Bullet's.
 
-        longest: Bullet's time steps. Raises Diverged, also where the flap does not come to rest.
+        longest: Bullet's time steps, fewer where there are many tetrahedra (`MOST_WORK`). Raises Diverged,
+        also where the flap does not come to rest.
         """
+        longest = min(longest, MOST_WORK // int(self.mesh.copies.sum()))
         _, pose, progress = self._good
         quiet = 0.0
         with self._keeping_the_last_good_state():

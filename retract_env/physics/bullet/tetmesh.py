@@ -22,6 +22,9 @@ from retract_env.scene import Scene
 Array = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
+MOST_TETRAHEDRA = 20_000
+"""Copies included. Bullet takes a microsecond for each of them a time step, of which a move has some hundred;
+the paper's flap with twenty veins has 1,500 at `medium`."""
 MOST_COPIES = 99
 """Stiffest vein, over the tissue's modulus: its tetrahedra are listed so often, and each copy costs as much
 as another tetrahedron."""
@@ -139,6 +142,11 @@ def tet_mesh(scene: Scene, jaw_x: float, along: float, across: int, deep: int) -
     most = np.array([parts @ (vein == i) for i in range(-1, len(tissue.veins))]).argmax(axis=0) - 1
     section, section_nodes = _section(xs, ys, flat, triangles, most.astype(np.int32), (low, high))
     copies = np.array([1, *(v.copies for v in veins)], np.int32)[vein + 1]
+    if (listed := int(copies.sum())) > MOST_TETRAHEDRA:
+        raise MeshError(
+            f"tissue: {listed} tetrahedra, stiff veins counted several times, allowed in Bullet up to "
+            f"{MOST_TETRAHEDRA}; a coarser resolution has fewer"
+        )
     return TetMesh(
         points, cells, copies, number[-1].ravel(), (lower, upper), section, section_nodes, share, veins
     )
