@@ -214,20 +214,32 @@ def drawn_frames(certificate: Certificate) -> tuple[tuple[TissueState, ...], Sec
     return certificate.frames, certificate.section
 
 
+SQUEEZE_STEPS = 4.0
+"""Steps of the path that the squeeze takes in curves: from rest to closed jaws."""
+
+
 def squeeze_end(frames: Sequence[TissueState]) -> int:
     """Index of the last frame of the squeeze."""
     return max(0, sum(f.progress <= 1.0 + 1e-9 for f in frames) - 1)
 
 
+def path_steps(frames: Sequence[TissueState]) -> Array:
+    """(n,) how far along the path each frame is, in waypoints, the squeeze drawn out to SQUEEZE_STEPS of
+    them."""
+    progress = np.array([frame.progress for frame in frames], float)
+    return np.where(progress <= 1, SQUEEZE_STEPS * progress, SQUEEZE_STEPS - 1 + progress)
+
+
 def draw_histories(
     axes: Sequence[Axes], certificate: Certificate, colour: str = VALUE
 ) -> list[tuple[Array, Array]]:
-    """Strain, needed friction and clearance over the increments with their limits, on three axes.
+    """Strain, needed friction and clearance along the path with their limits, on three axes.
 
-    Returns the three curves, (n,) increments and (n,) values. Friction without bound is drawn at the top.
+    Returns the three curves, (n,) steps as `path_steps` and (n,) values. Friction without bound is drawn at
+    the top.
     """
     frames = certificate.frames
-    steps = np.arange(len(frames), dtype=np.float64)
+    steps = path_steps(frames)
     strain = np.array([f.max_strain for f in frames])
     friction = np.array([needed_friction(f) for f in frames])
     clearance = np.array([f.clearance for f in frames]) * MM
@@ -240,17 +252,17 @@ def draw_histories(
         ("Friction needed to hold", drawn, friction_limit, f"limit {friction_limit:g}"),
         ("Clearance to line AB, mm", clearance, 0.0, "in view above 0"),
     )
-    turn = squeeze_end(frames)
+    turn = float(steps[squeeze_end(frames)])
     for ax, (title, values, limit, text) in zip(axes, rows, strict=True):
         ax.set_title(title, pad=5)
         ax.axvspan(0, turn, facecolor=GROUND, zorder=0)
         ax.axhline(limit, color=LIMIT, linewidth=1.3, linestyle=(0, (5, 3)), zorder=2)
         marker = "o" if len(steps) == 1 else None
         ax.plot(steps, values, color=colour, marker=marker, linewidth=2.0, zorder=3, solid_capstyle="round")
-        last = max(len(frames) - 1, 1)
+        last = max(float(steps[-1]), 1.0)
         ax.set_xlim(0, 1.03 * last)
         ax.xaxis.set_major_locator(MaxNLocator(5, integer=True, steps=[1, 2, 5, 10]))
-        ax.set_xlabel("increment (shaded: squeeze)", labelpad=2)
+        ax.set_xlabel("step of the path (shaded: squeeze)", labelpad=2)
         known = values[np.isfinite(values)]
         low, high = float(known.min(initial=0.0)), float(known.max(initial=limit))
         room = high - low or 1.0

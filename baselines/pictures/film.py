@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import io
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,6 +28,7 @@ from baselines.pictures.drawing import (
     draw_histories,
     draw_surroundings,
     drawn_frames,
+    path_steps,
     squeeze_end,
     strain_map,
     view_limits,
@@ -38,6 +40,7 @@ from retract_env.drawing.shapes import SectionTopology
 if TYPE_CHECKING:
     from planners.base import Plan
 
+Array = NDArray[np.float64]
 Pixels = NDArray[np.uint8]
 
 DPI, WIDTH_PX = 100, 800
@@ -66,9 +69,18 @@ def animate_retraction(plan: Plan, path: str | Path, fps: int = 20) -> None:
         temporary.write_bytes(data)
 
 
-def shown_increments(count: int) -> list[int]:
-    """Indices of the increments in the film: all, or 60 evenly spread that keep the first and the last."""
-    return sorted({round(i) for i in np.linspace(0, count - 1, min(count, MOST_FRAMES))})
+def shown_frames(steps: Array) -> list[int]:
+    """Indices of the frames in the film, evenly along the path, at most 60 of them.
+
+    steps: (n,) along the path, as `path_steps`. The first and the last are among them; where the certifier
+    looked between its increments the motion does not slow down.
+    """
+    if len(steps) == 1:
+        return [0]
+    usual = float(np.median(np.diff(steps)))
+    count = min(len(steps), MOST_FRAMES, math.ceil((steps[-1] - steps[0]) / usual - 1e-9) + 1)
+    even = np.linspace(steps[0], steps[-1], count)
+    return sorted({int(np.abs(steps - step).argmin()) for step in even})
 
 
 def animation_images(plan: Plan) -> Iterator[Pixels]:
@@ -113,7 +125,7 @@ def animation_images(plan: Plan) -> Iterator[Pixels]:
     canvas.draw()
     blank = still = canvas.copy_from_bbox(figure.bbox)
     turn = squeeze_end(frames)
-    for index in shown_increments(len(frames)):
+    for index in shown_frames(path_steps(frames)):
         state = frames[index]
         flap.show(state)
         jaws.show(state.jaws)

@@ -140,14 +140,17 @@ class JawShapes:
     """Two rounded pads outside the tissue, as wide as a jaw patch, and the gripper's fingers behind them."""
 
     def __init__(self, scene: Scene, bold: float = 1.0) -> None:
-        """bold: how many times as thick as they are."""
-        length, half = scene.tissue.length, bold * scene.jaws.width / 2
+        """bold: how many times as thick as they are. A tool that is in sight is as the scene says."""
+        length, half, how = scene.tissue.length, bold * scene.jaws.width / 2, scene.jaws
         thick, reach = bold * PAD * length, FINGER * length
+        if how.in_sight:
+            thick, reach = how.thickness, how.thickness + how.stem
         radius = 0.7 * min(half, thick)
         turn = np.linspace(0.0, np.pi / 2, 5)[:, None]
         corner = radius * np.hstack((np.cos(turn), np.sin(turn))) + (half - radius, thick - radius)
         pad = np.vstack(([(half, 0.0)], corner, corner[::-1] * (-1, 1), [(-half, 0.0)]))
-        right = np.array([(0.3 * thick, 0.9 * thick), (0.6 * thick, reach / 2), (0.6 * thick, reach)])
+        slim = np.array([0.25, 0.25, 0.25] if how.in_sight else [0.3, 0.6, 0.6]) * thick
+        right = np.stack([slim, (0.9 * thick, reach / 2, reach)], axis=1)
         finger = np.vstack((right, right[::-1] * (-1, 1)))
         self._finger, self._pad = (np.vstack((s, s[:1], [(np.nan, np.nan)])) for s in (finger, pad))
 

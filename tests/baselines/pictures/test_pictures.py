@@ -18,8 +18,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image, ImageSequence
 
-from baselines.pictures.drawing import strain_map
-from baselines.pictures.film import animate_retraction, shown_increments
+from baselines.pictures.drawing import path_steps, strain_map
+from baselines.pictures.film import animate_retraction, shown_frames
 from baselines.pictures.still import draw_retraction, ranked, retraction_figure, verdict
 from planners.base import Candidate, Plan
 from planners.certify import Certificate
@@ -105,7 +105,7 @@ def plan_with(
     section = section_mesh(scene, grasp.x, RESOLUTIONS["fine"])
     squeeze, motion = np.linspace(0.0, 1.0, squeezes + 1), np.linspace(0.0, 1.0, motions + 1)[1:]
     frames = [bent(scene, section, grasp, part, 0.0, part) for part in squeeze]
-    frames += [bent(scene, section, grasp, 1.0, last * part, 1.0 + part) for part in motion]
+    frames += [bent(scene, section, grasp, 1.0, last * part, 1.0 + motions * part) for part in motion]
     certificate = Certificate(
         certified=reason == "ok",
         reason=reason,
@@ -281,7 +281,7 @@ def test_friction_that_no_coefficient_meets_stays_on_the_page(ten: Plan) -> None
         assert np.all((values >= low) & (values <= high))
 
 
-def test_animation_has_a_frame_per_increment_steady_white_and_a_pause(ten: Plan, tmp_path: Path) -> None:
+def test_animation_has_even_frames_steady_white_and_a_pause(ten: Plan, tmp_path: Path) -> None:
     animate_retraction(ten, tmp_path / "a.gif", fps=20)
     assert (tmp_path / "a.gif").stat().st_size < 3e6
     times, pictures = [], []
@@ -292,7 +292,7 @@ def test_animation_has_a_frame_per_increment_steady_white_and_a_pause(ten: Plan,
         for frame in ImageSequence.Iterator(film):
             times.append(frame.info["duration"])
             pictures.append(np.asarray(frame.convert("RGB")))
-    assert len(times) == len(ten.certificate.frames)
+    assert len(times) == len(shown_frames(path_steps(ten.certificate.frames))) > 40
     assert set(times[:-1]) == {50}
     assert times[-1] >= 1000
     assert all(np.array_equal(picture[5, 5], (255, 255, 255)) for picture in pictures)
@@ -301,8 +301,14 @@ def test_animation_has_a_frame_per_increment_steady_white_and_a_pause(ten: Plan,
 
 @pytest.mark.parametrize("count", [1, 2, 60, 61, 500])
 def test_long_motions_are_thinned_but_keep_both_ends(count: int) -> None:
-    shown = shown_increments(count)
+    shown = shown_frames(np.arange(count, dtype=float))
     assert (shown[0], shown[-1], len(shown)) == (0, count - 1, min(count, 60))
+
+
+def test_the_film_does_not_linger_where_the_certifier_looked_closely() -> None:
+    steps = np.array([0, 1, 2, 2.25, 2.3, 2.35, 2.5, 3, 4, 5, 6, 7, 7.1, 7.12])
+    assert shown_frames(steps)[-1] == len(steps) - 1
+    assert np.diff(steps[shown_frames(steps)]).min() > 0.1
 
 
 @pytest.mark.parametrize(
