@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 Colour = tuple[int, int, int]
 """Red, green, blue, each 0 to 255."""
@@ -50,9 +50,3 @@ _STRAIN = (
 )
 STRAIN: Bytes = np.frombuffer(bytes.fromhex(_STRAIN), dtype=np.uint8).reshape(-1, 3)
 """(256, 3) colours of strain from 0 to its limit, read-only."""
-
-
-def strain_colour(strain: ArrayLike, limit: float) -> Bytes:
-    """Colours (..., 3) of strain (...,); beyond the limit that of the limit."""
-    share = np.asarray(strain, dtype=np.float64) / limit
-    return STRAIN[np.clip(share * len(STRAIN), 0, len(STRAIN) - 1).astype(np.intp)]

@@ -24,13 +24,18 @@ from retract_env.drawing.palette import (
     WHITE,
     Bytes,
     rgb,
-    strain_colour,
 )
 from retract_env.drawing.renderer import SectionRenderer
 from retract_env.drawing.scenery import Scenery
 from retract_env.drawing.shapes import SectionTopology
 from retract_env.physics.base import TissueState
 from tests.retract_env.lifted import ROOT, Retraction, lifted
+
+
+def strain_colour(strain: ArrayLike, limit: float) -> Bytes:
+    """Colours (..., 3) of strain (...,); beyond the limit that of the limit."""
+    share = np.asarray(strain, dtype=np.float64) / limit
+    return STRAIN[np.clip(share * len(STRAIN), 0, len(STRAIN) - 1).astype(np.intp)]
 
 
 @pytest.fixture(scope="module")
