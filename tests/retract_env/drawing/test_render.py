@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from matplotlib import colormaps
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from retract_env.drawing.palette import (
     INK,
