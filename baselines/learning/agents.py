@@ -55,6 +55,16 @@ class Agent:
         self.model: Any = self.learner.build(envs, shape, seed_of(seed))
         self.model.set_logger(configure(None, []))  # what goes to standard output is the progress bar's
 
+    @classmethod
+    def of(cls, recipe: Recipe, envs: VecNormalize, seed: int, demos: int | None) -> Agent:
+        """Who learns by a recipe. demos: how many episodes of a data set it learns from, None for all.
+
+        Raises RecipeError, and DemosError for a data set that cannot be used.
+        """
+        if demos is not None:
+            raise RecipeError(f"demos = {demos}, but {recipe.algorithm} learns from no data set")
+        return cls(recipe, envs, seed)
+
     def log_to(self, folder: Path) -> None:
         """Write TensorBoard's logs into a folder, which is made. Raises OSError."""
         self.model.set_logger(configure(str(folder), ["tensorboard"]))

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import torch
 from stable_baselines3.common.vec_env import VecNormalize
 
 from baselines.learning.agents import Agent, OnStep, State
-from baselines.learning.demos import Demos
+from baselines.learning.demos import Demos, load_demos
 from baselines.learning.envs import seed_of
 from retract_env.task import SLICES, STIFFNESS_SAMPLES
 
@@ -43,6 +43,12 @@ class Cloner(Agent):
         self.optimizer = torch.optim.AdamW(
             parameters, self.how.learning_rate, weight_decay=self.how.weight_decay
         )
+
+    @classmethod
+    def of(cls, recipe: Recipe, envs: VecNormalize, seed: int, demos: int | None) -> Cloner:
+        """As `Agent.of`."""
+        how = cast("BC", recipe.learner)
+        return cls(recipe, how, envs, seed, load_demos(how.dataset, demos))
 
     def learn(self, steps: int, on_step: OnStep) -> None:
         """So many gradient steps on batches drawn from the run's seed and the steps done."""

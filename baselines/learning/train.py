@@ -13,6 +13,7 @@ import json
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -116,7 +117,9 @@ def train(run: Run, folder: Path, on_progress: OnProgress = lambda _: None) -> P
     start = None if run.start is None else load_policy(run.start)
     envs = make_envs(run.recipe, run.envs)
     try:
-        agent = run.recipe.learner.agent(run.recipe, envs, run.seed, run.demos)
+        module, _, name = run.recipe.learner.AGENT.partition(":")
+        kind: type[Agent] = getattr(import_module(module), name)
+        agent = kind.of(run.recipe, envs, run.seed, run.demos)
         course = _resumed(run, agent, folder)
         if course is None:
             course = _Course()

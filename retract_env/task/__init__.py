@@ -11,7 +11,8 @@ from retract_env.task.observation import (
     STIFFNESS_SAMPLES,
     Sensors,
 )
-from retract_env.task.task import Outcome, RetractionTask, Situation, default_scene, sound
+from retract_env.task.situation import Situation
+from retract_env.task.task import Outcome, RetractionTask, default_scene, sound
 
 __all__ = [
     "HIGH",

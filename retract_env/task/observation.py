@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,9 +22,7 @@ from retract_env.mesh import SectionMesh
 from retract_env.scene import Scene
 from retract_env.spring.stiffness import Stiffness
 from retract_env.task.config import TaskConfig
-
-if TYPE_CHECKING:
-    from retract_env.task.task import Situation
+from retract_env.task.situation import Situation
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]

@@ -22,6 +22,7 @@ from retract_env.scene import LineOfSight, Scene, Tissue
 from retract_env.task.config import TaskConfig
 from retract_env.task.observation import Observer
 from retract_env.task.rest import rest_section, rest_state
+from retract_env.task.situation import Situation
 
 
 def default_scene() -> Scene:
@@ -35,25 +36,6 @@ def sound(state: TissueState) -> bool:
     """Whether all of a state is a number; a needed friction may be infinite."""
     numbers = (state.points, state.strain, state.jaws, state.reactions, state.max_strain, state.clearance)
     return all(np.isfinite(n).all() for n in numbers) and not np.isnan(state.required_friction).any()
-
-
-@dataclass(frozen=True)
-class Situation:
-    """Where an episode stands."""
-
-    section: SectionMesh
-    state: TissueState
-    exposure: float
-    holding: bool = False
-    """whether the jaws have closed"""
-    steps: int = 0
-    """taken so far"""
-    greatest_strain: float = 0.0
-    """eps_1%, so far"""
-    greatest_friction: float = 0.0
-    """needed by either jaw, so far"""
-    overlapped: bool = False
-    """whether tissue ever was where something else is"""
 
 
 @dataclass(frozen=True)

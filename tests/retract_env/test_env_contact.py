@@ -11,8 +11,8 @@ from planners.paths import ctc
 from retract_env.env import TissueRetractEnv
 from retract_env.grasp import Grasp
 from retract_env.rollout import PathPolicy, rollout
+from retract_env.task import RetractionTask, Situation, default_scene
 from retract_env.task.config import TaskConfig
-from retract_env.task.task import RetractionTask, Situation, default_scene
 
 
 def held(task: RetractionTask, **changes: object) -> Situation:

@@ -5,14 +5,11 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-from baselines.learning.fields import Part, RecipeError
+from baselines.learning.fields import Part
 
 if TYPE_CHECKING:
     import torch
     from stable_baselines3.common.vec_env import VecNormalize
-
-    from baselines.learning.agents import Agent
-    from baselines.learning.recipe import Recipe
 
 
 class Actor(ABC):
@@ -38,6 +35,8 @@ class Learner(Part):
 
     ACTOR: ClassVar[Actor | None] = None
     """What it trains; None for algorithms that train another one's."""
+    AGENT: ClassVar[str] = "baselines.learning.agents:Agent"
+    """Who learns by it, "module:Class"; made by the class' method `of`."""
 
     @property
     def actor(self) -> Actor:
@@ -47,18 +46,6 @@ class Learner(Part):
     def build(self, envs: VecNormalize, shape: dict[str, Any], seed: int) -> Any:
         """The model, untrained. shape: `net_arch` and `activation_fn` of its networks."""
         raise NotImplementedError
-
-    def agent(self, recipe: Recipe, envs: VecNormalize, seed: int, demos: int | None) -> Agent:
-        """Who learns by this; its `learn` is one leg.
-
-        demos: how many episodes of a data set it learns from, None for all. Raises
-        RecipeError, and DemosError for a data set that cannot be used.
-        """
-        from baselines.learning.agents import Agent
-
-        if demos is not None:
-            raise RecipeError(f"demos = {demos}, but {recipe.algorithm} learns from no data set")
-        return Agent(recipe, envs, seed)
 
     def let_actor_learn(self, model: Any, learns: bool) -> None:
         """Whether updates change the policy as well, or the critic alone."""
@@ -73,6 +60,10 @@ class Learner(Part):
 
     def remember(self, model: Any, memory: dict[str, Any]) -> None:
         """The inverse of `memory`. Raises KeyError, ValueError or RuntimeError for another algorithm's."""
+
+
+ALGORITHMS: dict[str, type[Learner]] = {}
+"""By the name that recipes and the console use; filled where the package begins."""
 
 
 def linear_layers(*parts: Any) -> list[torch.nn.Linear]:

@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from pydantic import BeforeValidator
 
-from baselines.learning.algorithms.base import Actor, Learner
+from baselines.learning.algorithms.base import ALGORITHMS, Actor, Learner
 from baselines.learning.fields import Count, Rate, Share, Weight
 from retract_env.config import Name, brief, refusal
 
 if TYPE_CHECKING:
     from stable_baselines3.common.vec_env import VecNormalize
 
-    from baselines.learning.agents import Agent
-    from baselines.learning.recipe import Recipe
-
 
 def _actors() -> dict[str, Actor]:
     """Policies that can be cloned into, by their algorithms."""
-    from baselines.learning.algorithms import ALGORITHMS
-
     return {name: kind.ACTOR for name, kind in ALGORITHMS.items() if kind.ACTOR is not None}
 
 
@@ -32,6 +27,8 @@ def _has_an_actor(value: Any) -> Any:
 
 class BC(Learner):
     """Behaviour cloning, by AdamW."""
+
+    AGENT: ClassVar[str] = "baselines.learning.cloning:Cloner"
 
     policy: Annotated[str, BeforeValidator(_has_an_actor)]
     """The algorithm whose policy it fits, so that this one can go on from the result."""
@@ -52,9 +49,3 @@ class BC(Learner):
 
     def build(self, envs: VecNormalize, shape: dict[str, Any], seed: int) -> Any:
         return self.actor.untrained(envs, shape, seed)
-
-    def agent(self, recipe: Recipe, envs: VecNormalize, seed: int, demos: int | None) -> Agent:
-        from baselines.learning.cloning import Cloner
-        from baselines.learning.demos import load_demos
-
-        return Cloner(recipe, self, envs, seed, load_demos(self.dataset, demos))
