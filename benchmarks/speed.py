@@ -77,7 +77,7 @@ def retractions(budget: float) -> None:
 def planned(name: str, pruning: str, workers: int) -> Plan | NoPlan:
     """`plan` as users call it, pruning as told."""
     told = partial(generate_and_test, pruning=pruning)
-    with patch("planners.search", told):
+    with patch("planners.generate_and_test", told):
         try:
             return plan(load_scene(name), workers=workers)
         except NoPlan as none:
