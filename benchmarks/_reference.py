@@ -128,11 +128,13 @@ def follow(case: Case, resolution: Resolution, end: float = math.inf) -> Track:
             if at == 1:
                 physics.turn()
             friction = float(state.required_friction.max())
-            broken = state.max_strain > scene.limits.strain or (at >= 1 and friction > scene.limits.friction)
+            broken = state.worst_strain > scene.limits.strain or (
+                at >= 1 and friction > scene.limits.friction
+            )
             if math.isinf(end) and broken:
                 break
             track.progress.append(at)
-            track.strain.append(state.max_strain)
+            track.strain.append(state.worst_strain)
             track.normal.append((-(state.reactions * state.normals).sum(axis=1)).tolist())
             track.friction.append(friction)
             track.shape.append([*state.points[corners].ravel().tolist(), state.clearance])

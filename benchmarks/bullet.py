@@ -141,12 +141,14 @@ def differences(
 ) -> tuple[object, ...]:
     """At the end of the path, and the greatest error of eps on the way."""
     a, b = certified[-1], states[-1]
-    worst = max((t.max_strain / s.max_strain - 1 for s, t in zip(certified, states, strict=True)), key=abs)
+    worst = max(
+        (t.worst_strain / s.worst_strain - 1 for s, t in zip(certified, states, strict=True)), key=abs
+    )
     force = np.linalg.norm(b.reactions, axis=1).sum() / np.linalg.norm(a.reactions, axis=1).sum()
     off = tip(physics, b) - tip(fine, a)
     return (
-        f"{b.max_strain:.3f}",
-        f"{a.max_strain:.3f}",
+        f"{b.worst_strain:.3f}",
+        f"{a.worst_strain:.3f}",
         f"{100 * worst:+.0f}",
         f"{force:.2f}",
         f"{b.required_friction.max():.2f}",

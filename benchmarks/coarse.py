@@ -36,7 +36,7 @@ def follow(scene: Scene, resolution: str) -> tuple[Array, int, float]:
         state = physics.move_to(poses[k], float(k))
         force = np.hypot(*state.reactions.T).max()
         friction = min(float(state.required_friction.max()), 1.0)
-        rows.append((state.max_strain, force, friction, state.clearance / scene.tissue.length))
+        rows.append((state.worst_strain, force, friction, state.clearance / scene.tissue.length))
     return np.array(rows), len(physics.section.points), time.thread_time() - start
 
 

@@ -15,7 +15,7 @@ from retract_env.scene import Scene
 from retract_env.task import SLICES, TaskConfig, actions
 
 Array = NDArray[np.float64]
-Policy = Callable[[NDArray[Any]], NDArray[Any]]
+Decide = Callable[[NDArray[Any]], NDArray[Any]]
 """From an observation to an action. It may remember what it saw in this episode, which began with the
 observation that has all its time left."""
 
@@ -51,7 +51,7 @@ class Rollout:
 
 def rollout(
     env: gym.Env[Any, Any],
-    policy: Policy,
+    policy: Decide,
     seed: int | None = None,
     options: Mapping[str, Any] | None = None,
     on_step: Callable[[], None] = lambda: None,

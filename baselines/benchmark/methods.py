@@ -24,12 +24,10 @@ from planners import NoPlan, certify, plan
 from planners.base import PROMISING
 from retract_env.grasp import Grasp, JawPath
 from retract_env.physics.registry import PHYSICS
-from retract_env.rollout import rollout
+from retract_env.rollout import Decide, rollout
 from retract_env.scene import Scene
 
 FEM, BULLET = PHYSICS["fem"].env_id, PHYSICS["bullet"].env_id
-Decide = Callable[[NDArray[Any]], NDArray[Any]]
-"""From an observation to an action."""
 
 
 def _random(item: WorkItem) -> Decide:

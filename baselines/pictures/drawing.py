@@ -240,7 +240,7 @@ def draw_histories(
     """
     frames = certificate.frames
     steps = path_steps(frames)
-    strain = np.array([f.max_strain for f in frames])
+    strain = np.array([f.worst_strain for f in frames])
     friction = np.array([needed_friction(f) for f in frames])
     clearance = np.array([f.clearance for f in frames]) * MM
     friction_limit = certificate.friction_limit

@@ -172,7 +172,7 @@ class Retraction:
         self._measure(state)
 
     def _measure(self, state: TissueState) -> None:
-        self.max_strain = max(self.max_strain, state.max_strain)
+        self.max_strain = max(self.max_strain, state.worst_strain)
         if state.progress >= 1:  # security is asked of closed jaws
             self.required_friction = max(self.required_friction, float(state.required_friction.max()))
 
@@ -189,7 +189,7 @@ class Retraction:
     def _verdict(self, state: TissueState) -> str | None:
         limits = self.limits
         return verdict(
-            state.max_strain,
+            state.worst_strain,
             self._friction(state),
             state.clearance,
             limits.strain,
@@ -202,7 +202,7 @@ class Retraction:
         """How many things have happened in a state, any of which ends a retraction."""
         limits = self.limits
         return (
-            (state.max_strain > limits.strain)
+            (state.worst_strain > limits.strain)
             + (self._friction(state) > limits.friction)
             + state.overlap
             + (state.clearance >= limits.clearance)
@@ -312,7 +312,7 @@ class Retraction:
 
         # no need to know how far beyond a limit, nor beyond what double would tell
         friction = np.array([np.minimum(f.required_friction, 2 * limits.friction) for f in frames])
-        strain = np.array([f.max_strain for f in frames])
+        strain = np.array([f.worst_strain for f in frames])
         known_to = _known_to(float(friction.max()), FRICTION_TOLERANCE, limits.friction)
         looks = [(friction[:, 0], known_to), (friction[:, 1], known_to)]
         known_to = _known_to(self.max_strain, STRAIN_TOLERANCE * self.max_strain, limits.strain)

@@ -39,7 +39,7 @@ class Trial(Retraction):
         limits, frames = self.scene.limits, self.frames
         history = {
             "progress": [f.progress for f in frames],
-            "strain": [f.max_strain for f in frames],
+            "strain": [f.worst_strain for f in frames],
             "worst_at": [f.worst_at.tolist() for f in frames],
             "friction": [f.required_friction.tolist() if f.progress >= 1 else [0.0, 0.0] for f in frames],
             "reactions": [f.reactions.tolist() for f in frames],
@@ -73,7 +73,7 @@ class Trial(Retraction):
 
     def _peaks(self) -> dict[str, Any]:
         """Where the greatest strain and friction are."""
-        strained = max(self.frames, key=lambda f: f.max_strain)
+        strained = max(self.frames, key=lambda f: f.worst_strain)
         moved = [f for f in self.frames if f.progress >= 1]
         gripped = max(moved, key=lambda f: float(f.required_friction.max()), default=None)
         return {

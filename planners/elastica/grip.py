@@ -45,7 +45,7 @@ def measured_grip(scene: Scene, grasp: Grasp, on_increment: Callable[[], None] =
         on_increment()
         states.append(physics.move_to(np.array([grasp.x, height / 2, 0.0, height * (1 - c)])))
     pressing = [-(s.reactions * s.normals).sum() / 2 for s in states]
-    return Grip(_curve(parts, pressing), _curve(parts, [s.max_strain for s in states]))
+    return Grip(_curve(parts, pressing), _curve(parts, [s.worst_strain for s in states]))
 
 
 def _curve(c: Array, values: Sequence[float]) -> tuple[float, float]:

@@ -77,7 +77,7 @@ def gauges_of(scene: Scene) -> tuple[Gauge, Gauge, Gauge]:
         return f"{value:.2f}" if value < 100 else "lets go"
 
     strain = Gauge(
-        "strain", lambda s: s.max_strain, lambda v: f"{v:.3f}", 0.0, ROOM * limits.strain, limits.strain,
+        "strain", lambda s: s.worst_strain, lambda v: f"{v:.3f}", 0.0, ROOM * limits.strain, limits.strain,
         f"limit {limits.strain:g}",
     )  # fmt: skip
     friction = Gauge(

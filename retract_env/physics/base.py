@@ -31,7 +31,7 @@ class TissueState:
     """(2, 2) N, force of the tissue on the lower and on the upper jaw, over the whole depth."""
     normals: Array
     """(2, 2) unit vectors, from each jaw into the tissue."""
-    max_strain: float
+    worst_strain: float
     """eps_1%, the mean strain of the 1 % of volume that is strained most. Sec. III-C."""
     worst_at: Array
     """(2,) m, rest position of the most strained spot."""

@@ -140,7 +140,7 @@ class Measures:
             jaws=jaws,
             reactions=reactions,
             normals=normals,
-            max_strain=worst_mean(np.concatenate([s.ravel() for s in per_block]), self._points_volume),
+            worst_strain=worst_mean(np.concatenate([s.ravel() for s in per_block]), self._points_volume),
             worst_at=self.section.corners[self._triangle[worst]].mean(axis=0),
             required_friction=required_friction(reactions, normals),
             clearance=min(clearance(p, line.camera, line.target) for p in seen),

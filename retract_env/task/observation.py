@@ -135,7 +135,7 @@ class Observer:
             "lower": lower / tissue.length,
             "upper": upper / tissue.length,
             "k_eq": self._k_eq,
-            "strain": state.max_strain / limits.strain,
+            "strain": state.worst_strain / limits.strain,
             "max_strain": now.greatest_strain / limits.strain,
             "friction": state.required_friction / limits.friction,
             "max_friction": now.greatest_friction / limits.friction,

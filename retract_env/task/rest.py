@@ -36,7 +36,7 @@ def rest_state(scene: Scene, section: SectionMesh) -> TissueState:
         jaws=np.array([-length - width, 0.0, -length - width, height]),
         reactions=np.zeros((2, 2)),
         normals=np.array([[0.0, 1.0], [0.0, -1.0]]),
-        max_strain=0.0,
+        worst_strain=0.0,
         worst_at=np.array([0.0, 0.0]),
         required_friction=np.zeros(2),
         clearance=clearance(section.points, line.camera, line.target),

@@ -34,7 +34,7 @@ def default_scene() -> Scene:
 
 def sound(state: TissueState) -> bool:
     """Whether all of a state is a number; a needed friction may be infinite."""
-    numbers = (state.points, state.strain, state.jaws, state.reactions, state.max_strain, state.clearance)
+    numbers = (state.points, state.strain, state.jaws, state.reactions, state.worst_strain, state.clearance)
     return all(np.isfinite(n).all() for n in numbers) and not np.isnan(state.required_friction).any()
 
 
@@ -80,7 +80,7 @@ class RetractionTask:
             now,
             holding=True,
             steps=before.steps,
-            greatest_strain=max(before.greatest_strain, float(state.max_strain)),
+            greatest_strain=max(before.greatest_strain, float(state.worst_strain)),
             greatest_friction=max(before.greatest_friction, float(state.required_friction.max())),
             overlapped=before.overlapped or state.overlap,
         )
@@ -114,7 +114,7 @@ class RetractionTask:
         return self._verdict(now.greatest_strain, now.greatest_friction, -math.inf, now.overlapped) or ""
 
     def _verdict_on(self, state: TissueState) -> str | None:
-        return self._verdict(state.max_strain, state.required_friction, state.clearance, state.overlap)
+        return self._verdict(state.worst_strain, state.required_friction, state.clearance, state.overlap)
 
     def _verdict(self, strain: float, friction: Any, clearance: float, overlap: bool) -> str | None:
         limits = self.scene.limits
@@ -134,7 +134,7 @@ class RetractionTask:
     def cost(self, now: Situation) -> float:
         """How many limits are broken now: of strain, of friction."""
         limits, state = self.scene.limits, now.state
-        return float(state.max_strain > limits.strain) + float(
+        return float(state.worst_strain > limits.strain) + float(
             state.required_friction.max() > limits.friction
         )
 
@@ -142,7 +142,7 @@ class RetractionTask:
         """By how much of itself each limit is exceeded now, in [0, cap - 1]; 0 where it holds."""
         limits, state = self.scene.limits, now.state
         friction = float(state.required_friction.max())
-        over = {"strain": state.max_strain / limits.strain, "friction": friction / limits.friction}
+        over = {"strain": state.worst_strain / limits.strain, "friction": friction / limits.friction}
         return {name: max(0.0, self._capped(share) - 1) for name, share in over.items()}
 
     def reward_terms(self, before: Situation, now: Situation, outcome: Outcome) -> dict[str, float]:

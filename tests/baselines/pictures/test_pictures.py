@@ -87,7 +87,7 @@ def bent(
         jaws=jaws,
         reactions=np.stack((-axis, axis)),
         normals=np.stack((axis, -axis)),
-        max_strain=float(np.quantile(strain, 0.99)),
+        worst_strain=float(np.quantile(strain, 0.99)),
         worst_at=at[np.argmax(strain)],
         required_friction=np.array([0.05, 0.04]) + 0.004 * curvature,
         clearance=float(np.min((points - target) @ np.array([-along[1], along[0]]))),
@@ -109,7 +109,7 @@ def plan_with(
     certificate = Certificate(
         certified=reason == "ok",
         reason=reason,
-        max_strain=max(f.max_strain for f in frames),
+        max_strain=max(f.worst_strain for f in frames),
         strain_limit=0.5,
         required_friction=float(np.max(frames[-1].required_friction)),
         friction_limit=0.5,
@@ -260,7 +260,7 @@ def test_grasps_at_one_place_share_a_rank() -> None:
 def test_histories_are_the_frames_own(ten: Plan) -> None:
     figure, frames = retraction_figure(ten), ten.certificate.frames
     wanted = (
-        [f.max_strain for f in frames],
+        [f.worst_strain for f in frames],
         [max(f.required_friction) if f.progress >= 1 else math.nan for f in frames],  # asked of closed jaws
         [f.clearance * 1e3 for f in frames],
     )

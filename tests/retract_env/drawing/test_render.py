@@ -45,7 +45,7 @@ def lift() -> Retraction:
 
 def strained(state: TissueState, strain: float) -> TissueState:
     """The same strain everywhere."""
-    return replace(state, strain=np.full_like(state.strain, strain), max_strain=strain)
+    return replace(state, strain=np.full_like(state.strain, strain), worst_strain=strain)
 
 
 def moved(state: TissueState, x: float, y: float) -> TissueState:
@@ -244,7 +244,7 @@ def test_many_frames_take_no_more_memory(lift: Retraction) -> None:
 
     def draw(times: int) -> None:
         for i in range(times):
-            state = replace(lift.states[i % 10], max_strain=1e-3 * (i % 500))
+            state = replace(lift.states[i % 10], worst_strain=1e-3 * (i % 500))
             renderer.draw(state, lift.states)
             renderer.pixels(state)
 

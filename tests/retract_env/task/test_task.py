@@ -46,7 +46,7 @@ def situation(
     section = rest_section(scene)
     state = replace(
         rest_state(scene, section),
-        max_strain=strain,
+        worst_strain=strain,
         required_friction=np.array([friction, 0.0]),
         clearance=clear,
     )
@@ -232,7 +232,7 @@ def test_nothing_is_judged_before_the_jaws_close() -> None:
     assert rules.judge(now, now) == Outcome()
 
 
-@pytest.mark.parametrize("field", ["points", "strain", "jaws", "reactions", "max_strain", "clearance"])
+@pytest.mark.parametrize("field", ["points", "strain", "jaws", "reactions", "worst_strain", "clearance"])
 @pytest.mark.parametrize("value", [math.nan, math.inf])
 def test_a_state_that_is_no_number_is_found(field: str, value: float) -> None:
     scene = task.default_scene()
