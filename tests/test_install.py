@@ -67,7 +67,7 @@ def test_recipes_splits_studies_and_policies_are_found(wheel: Path, tmp_path: Pa
 from baselines.benchmark.splits import load_benchmark
 from baselines.learning.policies import load_policy
 from baselines.learning.recipe import load_recipe
-from baselines.paper.report import paper_scene
+from baselines.paper.study import paper_scene
 for name in ("ppo", "ppo_from_bc", "sac", "tqc", "bc"):
     load_recipe(name)
 assert "test" in load_benchmark("benchmark").splits
