@@ -14,8 +14,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 from numpy.typing import NDArray
 
-from baselines.benchmark.scores import FAILURES, Summary
+from baselines.benchmark.scores import Summary
 from baselines.pictures.drawing import STYLE
+from planners.certify import FAILURES
 from retract_env.drawing.palette import GREY, INK, SIGHT
 
 Array = NDArray[np.float64]

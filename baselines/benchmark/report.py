@@ -13,10 +13,11 @@ from pathlib import Path
 from typing import Any
 
 from baselines.benchmark.charts import curve_chart, profile_chart, share_chart
-from baselines.benchmark.scores import FAILURES, Interval, Summary, best_known, scores_by_method, summaries
+from baselines.benchmark.scores import Interval, Summary, best_known, scores_by_method, summaries
 from baselines.benchmark.tasks import numbers
 from baselines.jobs.files import written_whole
 from baselines.jobs.journal import Row
+from planners.certify import FAILURES
 
 NAME = "benchmark"
 Curves = Mapping[str, Sequence[Sequence[Mapping[str, Any]]]]

@@ -15,11 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.jobs.journal import Row
-from planners.certify import REASONS
+from planners.certify import FAILURES
 
 Array = NDArray[np.float64]
 
-FAILURES = tuple(reason for reason in REASONS if reason != "ok")
 REFERENCE = "ctc"
 """The paper's planner; the scenes where it certifies a retraction are those that others should solve too."""
 

@@ -22,7 +22,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 from baselines.learning.envs import arguments, seed_of
 from baselines.learning.fields import RecipeError
 from baselines.learning.policies import Policy
-from planners.certify import REASONS
+from planners.certify import FAILURES
 from retract_env.physics.registry import PHYSICS
 from retract_env.threads import limit_torch
 
@@ -34,8 +34,6 @@ State = dict[str, Any]
 OnStep = Callable[[int], None]
 
 ACTIVATIONS = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}
-FAILURES = tuple(reason for reason in REASONS if reason != "ok")
-"""What may become of an episode that does not succeed."""
 
 
 class Agent:

@@ -1,7 +1,7 @@
 """The judge: a trial of one retraction on the finite elements, and the certificate that it ends in."""
 
-from planners.certify.certificate import REASONS, Certificate
+from planners.certify.certificate import FAILURES, REASONS, Certificate
 from planners.certify.retraction import Retraction
 from planners.certify.trial import Trial, certify, differences, verified
 
-__all__ = ["REASONS", "Certificate", "Retraction", "Trial", "certify", "differences", "verified"]
+__all__ = ["FAILURES", "REASONS", "Certificate", "Retraction", "Trial", "certify", "differences", "verified"]

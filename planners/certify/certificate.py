@@ -14,6 +14,8 @@ from retract_env.mesh import SectionMesh
 from retract_env.physics.base import TissueState
 
 REASONS = ("ok", "not_visible", "strain", "slip", "release", "contact", "diverged")
+FAILURES = tuple(reason for reason in REASONS if reason != "ok")
+"""Those of retractions that are not certified."""
 ADDED = ("peaks", "clearance_limit")
 """Fields that certificates have had since version 0.2; older ones are read as they are."""
 

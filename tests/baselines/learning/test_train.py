@@ -22,11 +22,12 @@ pytest.importorskip("tensorboard")
 
 from baselines.jobs.version import PACKAGES
 from baselines.learning import train
-from baselines.learning.agents import FAILURES, Agent
+from baselines.learning.agents import Agent
 from baselines.learning.checkpoints import MAGIC, CheckpointError, read_checkpoint, write_checkpoint
 from baselines.learning.envs import make_envs
 from baselines.learning.fields import RecipeError
 from baselines.learning.policies import TENSORS, Policy, PolicyError, load_policy, save_policy
+from planners.certify import FAILURES
 from retract_env.errors import SceneError
 from retract_env.task import HIGH, LOW, SIZE
 from retract_env.task.config import Weights
