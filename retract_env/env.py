@@ -203,7 +203,8 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
     be pickled. The same actions then lead to the same observations, rewards and infos, to the last bit. Look
     ahead with `env.unwrapped.step`, as wrappers keep counts of their own.
 
-    Each takes less than a millisecond or two, on Bullet too; its flap makes the moves of the episode again before its next step.
+    Either takes a millisecond or two. On Bullet the flap then makes the moves of the episode again before its
+    next step.
 
     ## Version History
 

@@ -267,11 +267,11 @@ def test_a_state_after_a_move_that_failed() -> None:
     closed = np.array([GRASP.x, height / 2, 0.0, 0.75 * height])
     physics.move_to(closed, 1.0)
     with pytest.raises(Diverged):
-        physics.move_to(closed + [0.0, 0.0, 0.0, -0.8 * height])
+        physics.move_to(closed * [1, 1, 1, -0.07])
     state, away = physics.get_state(), FemPhysics(scene, GRASP.x, "coarse")
     away.set_state(state)
     assert same_bits(away.state(), physics.state())
-    lifted = closed + [0.0, 1e-3, 0.0, 0.0]
+    lifted = closed * [1, 1.5, 1, 1]
     assert same_bits(away.move_to(lifted), physics.move_to(lifted))
 
 
@@ -281,7 +281,7 @@ def test_a_state_off_any_path_is_small() -> None:
     physics = at_rest(scene)
     closed = np.array([GRASP.x, scene.tissue.height / 2, 0.0, 0.75 * scene.tissue.height])
     physics.move_to(closed, 1.0)
-    physics.move_to(closed + [0.0, 1e-3, 0.0, 0.0])
+    physics.move_to(closed * [1, 1.5, 1, 1])
     numbers = 2 * len(physics.displacements)
     assert len(pickle.dumps(physics.get_state())) < 8 * numbers + 2_000
 
