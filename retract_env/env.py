@@ -6,8 +6,9 @@ physics (physics/fem.py), and what is made of its state (task/task.py, task/obse
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import gymnasium as gym
@@ -24,7 +25,7 @@ from retract_env.physics.pool import PhysicsPool
 from retract_env.scene import Scene, load_scene, sample_scene
 from retract_env.scene.sampling import SceneRanges
 from retract_env.task import Outcome, RetractionTask, Sensors, TaskConfig, actions, default_scene
-from retract_env.task.episode import Episode
+from retract_env.task.episode import Episode, EpisodeState
 from retract_env.task.observation import bounds
 
 
@@ -34,6 +35,19 @@ class Settings(Frozen):
     task: TaskConfig = TaskConfig()
     ranges: SceneRanges = SceneRanges()
     sensors: Sensors = Sensors()
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class EnvState:
+    """Where an environment stood, for `TissueRetractEnv.set_state`. It can be pickled; not to be changed."""
+
+    physics: str
+    resolution: str
+    task: TaskConfig
+    episode: EpisodeState
+    over: bool
+    random: np.random.Generator
+    seed: int | None
 
 
 class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
@@ -179,7 +193,18 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
     ## Copies
 
     `copy.deepcopy(env)` and pickles go on from where the environment stands, as it would have gone on, to the
-    last bit: the copy makes the moves of the episode again, on a flap of its own, before its next step.
+    last bit, on a flap of their own: Bullet's makes the moves of the episode again before its next step.
+
+    ## Look-ahead
+
+    `x = env.unwrapped.get_state()` is where the environment stands, its random numbers included, and
+    `env.unwrapped.set_state(x)` goes back there, as often as asked, also in other environments of the same
+    `physics`, `resolution` and `task`, whose scene or grasp may be another now, and in other processes: x can
+    be pickled. The same actions then lead to the same observations, rewards and infos, to the last bit. Look
+    ahead with `env.unwrapped.step`, as wrappers keep counts of their own.
+
+    Either takes a millisecond or two. On Bullet the flap then makes the moves of the episode again before its
+    next step.
 
     ## Version History
 
@@ -268,15 +293,20 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
         if "line_of_sight" in options:
             scene = Scene.from_data(scene.dump() | {"line_of_sight": options["line_of_sight"]})
         grasp = read_grasp(options["grasp"]) if "grasp" in options else self._grasp
+        episode = self._begin(scene)
+        if grasp != "agent":
+            episode.take(grasp if isinstance(grasp, Grasp) else None)
+        self._over = False
+        if self.render_mode == "human":
+            self._stage.show(episode)
+        return self._observation(), episode.task.info(episode.now, None, Outcome())
+
+    def _begin(self, scene: Scene) -> Episode:
+        """A new episode, which is over until it can go on."""
         if self._task is None or self._task.scene != scene:
             self._task = RetractionTask(scene, self.task_config)
         self._over, self._episode = True, Episode(self._task, self._pool)
-        if grasp != "agent":
-            self._episode.take(grasp if isinstance(grasp, Grasp) else None)
-        self._over = False
-        if self.render_mode == "human":
-            self._stage.show(self.episode)
-        return self._observation(), self._task.info(self._episode.now, None, Outcome())
+        return self._episode
 
     def step(self, action: ArrayLike) -> tuple[NDArray[Any], float, bool, bool, dict[str, Any]]:
         """Close the jaws or move them. Raises ValueError for what is no action, ResetNeeded after the end."""
@@ -294,6 +324,40 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
         terms = rules.reward_terms(before, episode.now, outcome)
         info = rules.info(episode.now, terms, outcome)
         return self._observation(), sum(terms.values()), terminated, truncated, info
+
+    def get_state(self) -> EnvState:
+        """Where the environment stands, to be kept, pickled, and set any number of times.
+
+        Raises ResetNeeded before the first reset.
+        """
+        pool, episode = self._pool, self.episode.get_state()
+        random = copy.deepcopy(self.np_random)
+        return EnvState(
+            pool.kind.name, pool.resolution, self.task_config, episode, self._over, random,
+            self._np_random_seed,
+        )  # fmt: skip
+
+    def set_state(self, state: EnvState) -> None:
+        """Go on from where this environment stood, or another of the same physics, resolution and task.
+
+        Raises TypeError for what is no state, ValueError for that of an environment made otherwise; nothing
+        has changed then.
+        """
+        if not isinstance(state, EnvState):
+            raise TypeError(f"a state of get_state is needed, not {type(state).__name__}")
+        for name, theirs, ours in (
+            ("physics", state.physics, self._pool.kind.name),
+            ("resolution", state.resolution, self._pool.resolution),
+        ):
+            if theirs != ours:
+                raise ValueError(f"the state is of an environment with {name} = {theirs!r}, here {ours!r}")
+        if state.task != self.task_config:
+            asked, here = state.task.model_dump(), self.task_config.model_dump()
+            names = ", ".join(name for name in here if asked[name] != here[name])
+            raise ValueError(f"the state is of an environment whose task differs in {names}")
+        self._begin(state.episode.scene).set_state(state.episode)
+        self._over = state.over
+        self._np_random, self._np_random_seed = copy.deepcopy(state.random), state.seed
 
     def render(self) -> NDArray[np.uint8] | None:
         """The frame (480, 640, 3) of `render_mode="rgb_array"`; None in the other modes."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,20 @@ MEMORY = 6
 """Latest steps with which L-BFGS corrects an old factorisation."""
 
 
+Pair = tuple[Array, Array, float]
+"""A step, by how much it changed the forces, both over the free unknowns, and one over their product."""
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Kept:
+    """What a solver goes on with; plain data, which fits any solver of the same model. Not to be changed."""
+
+    made_at: Array
+    """(n,) m, displacements at which the factorisation was made"""
+    pairs: tuple[Pair, ...]
+    """the steps since then that correct it"""
+
+
 class Equilibrium:
     """Solves for the free unknowns of a model, keeping its factorisation from one call to the next."""
 
@@ -37,8 +52,9 @@ class Equilibrium:
         self.max_iterations = max_iterations
         self.factor: Factor = cholesky(model.assembly.indptr, model.assembly.indices)
         self._fresh = False  # made at the displacements where the solution stands now
-        self._usable = False
-        self._pairs: list[tuple[Array, Array, float]] = []
+        self._made_at: Array | None = None  # where the factorisation was made, None without a usable one
+        self._owed = False  # it is known where, but it is still to be made again
+        self._pairs: list[Pair] = []
         self.counts: Counter[str] = Counter()
         tissue = model.scene.tissue
         half_volume = tissue.length * tissue.height * tissue.depth / 2
@@ -48,18 +64,33 @@ class Equilibrium:
     def forget(self) -> None:
         """Let the next solution begin with a factorisation of its own: it then depends on nothing that was
         solved before, not even in its last bit."""
-        self._usable = False
+        self._made_at, self._pairs = None, []
+
+    @property
+    def kept(self) -> Kept | None:
+        """All that the next solution depends on besides its first guess; None: on nothing."""
+        return None if self._made_at is None else Kept(self._made_at, tuple(self._pairs))
+
+    def remember(self, kept: Kept | None) -> None:
+        """Let the next solution be, to the last bit, what it was where `kept` comes from.
+
+        A factorisation cannot be taken along: it is made again in the same place, once it is needed.
+        """
+        self.forget()
+        if kept is not None:
+            self._made_at, self._pairs, self._owed = kept.made_at, list(kept.pairs), True
 
     def factorize(self, u: Array) -> None:
         """Factorise the tangent at u, shifted until it is positive definite (then the step only descends)."""
+        self.forget()
         values = self.model.tangent(u)
         shift = 0.0
         for _ in range(MOST_SHIFTS):
             try:
                 self.counts["factorisations"] += 1
                 self.factor.factorize(values)
-                self._pairs = []
-                self._fresh = self._usable = True
+                self._made_at, self._owed = u.copy(), False
+                self._fresh = True
                 return
             except NotPositiveDefinite:
                 self.counts["shifts"] += 1
@@ -71,8 +102,7 @@ class Equilibrium:
     def step(self, u: Array, du_driven: Array) -> Array:
         """First-order change of the free unknowns when the driven ones change by du_driven (n,), from the
         tangent at u."""
-        if not self._usable:
-            self.factorize(u)
+        self._ready(u)
         force = self.model.tangent_times(u, du_driven)
         du = du_driven.copy()
         du[self.model.free] = -self.factor.solve(force[self.model.free])
@@ -91,8 +121,7 @@ class Equilibrium:
             raise Diverged("the first guess turns elements inside out")
         norm = _norm(force[free])
         self._fresh = False
-        if not self._usable:
-            self.factorize(u)
+        self._ready(u)
         for _ in range(self.max_iterations):
             self.counts["iterations"] += 1
             du = -self._descent(force[free])
@@ -129,6 +158,15 @@ class Equilibrium:
             else:
                 self._fresh = False
         raise Diverged(f"no equilibrium in {self.max_iterations} iterations")
+
+    def _ready(self, u: Array) -> None:
+        """See to it that there is a factorisation: the one that was kept, or else one at u."""
+        if self._made_at is None:
+            self.factorize(u)
+        elif self._owed:
+            pairs = self._pairs
+            self.factorize(self._made_at)
+            self._pairs, self._fresh = pairs, False
 
     def _descent(self, force: Array) -> Array:
         """The tangent's inverse applied to force: as factorised, corrected by the steps since."""

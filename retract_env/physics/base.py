@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,3 +73,27 @@ class Physics(Protocol):
 
     def close(self) -> None:
         """Give back what it holds; may be called again."""
+
+
+@runtime_checkable
+class Restorable(Protocol):
+    """What a physics may do besides: tell where it stands, and go back there.
+
+    Episodes use the pair where a physics has it, for copies and for `TissueRetractEnv.set_state`; with any
+    other they make the episode's moves again.
+    """
+
+    def get_state(self) -> object:
+        """Where the flap stands and all that its next moves depend on, down to their last bit.
+
+        It can be pickled and does not change when the flap goes on; getting it leaves no trace in how the
+        flap goes on. Also after `close`.
+        """
+
+    def set_state(self, state: object) -> None:
+        """Stand where a physics stood that was made with the same arguments, be it in another process.
+
+        The same moves then lead to the same states as there, to the last bit. A state may be set any number
+        of times, whatever was done before, also before the first `reset`. Raises TypeError for what is no
+        state of such a physics, ValueError for that of another flap.
+        """

@@ -6,6 +6,7 @@ import math
 import time
 from collections import defaultdict
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -15,7 +16,7 @@ from scipy.sparse import csr_matrix, hstack, identity
 from retract_env.errors import Diverged
 from retract_env.fem.beam import BeamGuess
 from retract_env.fem.model import FlapModel
-from retract_env.fem.solver import Equilibrium
+from retract_env.fem.solver import Equilibrium, Kept
 from retract_env.grasp import to_jaws, to_pose
 from retract_env.mesh import RESOLUTIONS, Resolution, patch_ends, section_mesh
 from retract_env.mesh.outlines import fewer_corners, reaching
@@ -37,6 +38,28 @@ LEAST_ITERATIONS = 40
 """Whatever the unknowns."""
 MEMORY = 4
 """Latest equilibria of a path that the next one is extrapolated from."""
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class FemState:
+    """Where a flap stood, for `FemPhysics.set_state`. Not to be changed: who shares it does not copy it."""
+
+    scene: str
+    """hash"""
+    jaw_x: float
+    """m"""
+    resolution: Resolution
+    pose: Array
+    """(4,) x, y, theta, separation"""
+    displacements: Array
+    """(n,) m"""
+    force: Array
+    """(n,) N, that holds the prescribed nodes"""
+    progress: float
+    history: tuple[tuple[float, Array], ...]
+    """progress and displacements that the next equilibrium is extrapolated from"""
+    kept: Kept | None
+    """of the solver"""
 
 
 class FemPhysics:
@@ -63,6 +86,7 @@ class FemPhysics:
                 raise ValueError(f"resolution = {resolution!r}, allowed {', '.join(RESOLUTIONS)}")
             resolution = RESOLUTIONS[resolution]
         self.scene, self.resolution, self.jaw_x = scene, resolution, jaw_x
+        self._scene_hash = scene.hash
         self.seconds: defaultdict[str, float] = defaultdict(float)
         start = time.perf_counter()
         height, (low, high) = scene.tissue.height, patch_ends(scene, jaw_x)
@@ -183,6 +207,33 @@ class FemPhysics:
         self._history = [(progress, u)]
         self.equilibrium.forget()
 
+    def get_state(self) -> FemState:
+        """Where the flap stands and all that its next moves depend on; costs nothing, and changes nothing."""
+        # no array in it is written to once it is there, here or in the solver
+        return FemState(
+            self._scene_hash, self.jaw_x, self.resolution, self._pose, self._u, self._force, self._progress,
+            tuple(self._history), self.equilibrium.kept,
+        )  # fmt: skip
+
+    def set_state(self, state: object) -> None:
+        """Stand where a flap of the same scene, grasp and resolution stood, in this process or another.
+
+        Moves from there lead to the same states as they did there, to the last bit. Raises TypeError for what
+        is no state of this physics, ValueError for that of another flap.
+        """
+        if not isinstance(state, FemState):
+            raise TypeError(f"a state of FemPhysics.get_state is needed, not {type(state).__name__}")
+        for name, theirs, ours in (
+            ("scene", state.scene, self._scene_hash),
+            ("grasp", state.jaw_x, self.jaw_x),
+            ("resolution", state.resolution, self.resolution),
+        ):
+            if theirs != ours:
+                raise ValueError(f"the state is that of another {name}: {theirs}, here {ours}")
+        self._pose, self._u, self._force = state.pose, state.displacements, state.force
+        self._progress, self._history = state.progress, list(state.history)
+        self.equilibrium.remember(state.kept)
+
     def close(self) -> None:
         """Nothing to give back: this physics holds only memory of Python's own."""
 
@@ -196,6 +247,8 @@ class FemPhysics:
         self._pose = pose
         if progress is None:
             self._history.clear()
+            # without a history the next guess comes with a factorisation of its own; states stay small
+            self.equilibrium.forget()
         else:
             self._progress = progress
             earlier = [h for h in self._history if h[0] != progress]

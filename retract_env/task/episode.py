@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from retract_env.errors import Diverged, MeshError
 from retract_env.grasp import Grasp, JawPath, to_pose
-from retract_env.physics.base import Physics, TissueState
+from retract_env.physics.base import Physics, Restorable, TissueState
 from retract_env.physics.pool import PhysicsPool
 from retract_env.scene import Scene
 from retract_env.spring import SpringModel
@@ -22,11 +22,26 @@ MOST_GRASPS = 5
 """Stable grasps that are tried, best first, before an episode that is to begin on one is given up."""
 
 
+@dataclass(frozen=True, repr=False, eq=False)
+class EpisodeState:
+    """Where an episode stood, for `Episode.set_state`. It can be pickled; not to be changed."""
+
+    scene: Scene
+    now: Situation
+    history: tuple[TissueState, ...]
+    grasp: Grasp | None
+    diverged: bool
+    moves: tuple[tuple[Array, float | None], ...]
+    physics: object
+    """state of a `Restorable` physics; None without one, and before the jaws closed"""
+
+
 class Episode:
     """Actions to situations, through a physics.
 
-    A copy, also a pickled one, goes on as the original does, to the last bit: it knows the moves made so far
-    and makes them again on a physics of its own before the next one.
+    A copy, also a pickled one, and an episode whose state was set go on as the original does, to the last
+    bit. Before its next move such an episode brings a physics of its own to where the original's stood: by
+    its state where the physics has one (`Restorable`), else by making all moves again.
     """
 
     def __init__(self, task: RetractionTask, pool: PhysicsPool):
@@ -40,20 +55,44 @@ class Episode:
         self._physics: Physics | None = None
         self._moves: list[tuple[Array, float | None]] = []
         """poses that the jaws were sent to since the physics' reset, each with its progress"""
+        self._stood: object = None
+        """the state to bring the physics to when it is needed; None: by making the moves"""
 
     @property
     def physics(self) -> Physics | None:
         """That of the flap between the jaws, None before they closed."""
         if self._physics is None and self.grasp is not None:
             physics = self.pool.take(self.task.scene, self.grasp.x, self.task.stop_when)
-            physics.reset()
-            for move in self._moves:
-                physics.move_to(*move)
-            self._physics = physics
+            if self._stood is not None and isinstance(physics, Restorable):
+                physics.set_state(self._stood)
+            else:
+                physics.reset()
+                for move in self._moves:
+                    physics.move_to(*move)
+            self._physics, self._stood = physics, None
         return self._physics
 
+    def _physics_state(self) -> object:
+        if self._physics is None:
+            return self._stood
+        return self._physics.get_state() if isinstance(self._physics, Restorable) else None
+
     def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"_physics": None}
+        return self.__dict__ | {"_physics": None, "_stood": self._physics_state()}
+
+    def get_state(self) -> EpisodeState:
+        """Where the episode stands; it does not change when the episode goes on."""
+        return EpisodeState(
+            self.task.scene, self.now, tuple(self.history), self.grasp, self.diverged, tuple(self._moves),
+            self._physics_state(),
+        )  # fmt: skip
+
+    def set_state(self, state: EpisodeState) -> None:
+        """Stand where an episode of the same task stood, on a pool of the same kind, be it in another
+        process."""
+        self.now, self.history = state.now, list(state.history)
+        self.grasp, self.diverged = state.grasp, state.diverged
+        self._physics, self._moves, self._stood = None, list(state.moves), state.physics
 
     def act(self, action: ArrayLike) -> None:
         """One step of the task: the grasp, then moves. Raises ValueError for what is no action."""
