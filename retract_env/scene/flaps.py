@@ -8,7 +8,7 @@ Arrays of a flap that may have up to `most` veins, the upper end of the range of
 
     scalars (8,)            length, height, depth, modulus, camera_x, camera_y, target_x, slope; SI units
     vertices (10 most, 2)   m, the outlines one after the other from the free end on, counter-clockwise
-    offsets (most + 1,)     vein v has vertices[offsets[v]:offsets[v + 1]]; none where v is not below the count
+    offsets (most + 1,)     vein v has vertices[offsets[v]:offsets[v + 1]]; none beyond the last vein
     moduli (most,)          Pa, of each vein; 0 where there is none
 """
 

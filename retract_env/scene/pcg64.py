@@ -19,7 +19,9 @@ State = NDArray[np.uint64]
 WORDS = 6
 _HIGH, _LOW, _STEP_HIGH, _STEP_LOW, _HAS_HALF, _HALF = range(WORDS)
 _MASK = (1 << 64) - 1
-_FACTOR_HIGH, _FACTOR_LOW = np.uint64(0x2360ED051FC65DA4), np.uint64(0x4385DF649FCCF645)
+FACTOR = 0x2360ED051FC65DA44385DF649FCCF645
+"""of each step: state = state * FACTOR + increment, modulo 2^128"""
+_FACTOR_HIGH, _FACTOR_LOW = np.uint64(FACTOR >> 64), np.uint64(FACTOR & _MASK)
 _LOWER_HALF, _ALL = np.uint64(0xFFFFFFFF), np.uint64(_MASK)
 _0, _1, _11, _32, _58, _63, _64 = (np.uint64(k) for k in (0, 1, 11, 32, 58, 63, 64))
 
