@@ -75,7 +75,7 @@ def draw_flap(
     length = uniform(row, ranges[_LENGTH, 0], ranges[_LENGTH, 1])
     height = uniform(row, ranges[_HEIGHT, 0], ranges[_HEIGHT, 1])
     depth = uniform(row, ranges[_DEPTH, 0], ranges[_DEPTH, 1])
-    modulus = _log_uniform(row, ranges[_MODULUS])
+    modulus = _log_uniform(row, ranges[_MODULUS, 0], ranges[_MODULUS, 1])
     target = -length * uniform(row, ranges[_TARGET, 0], ranges[_TARGET, 1]) + 0.0  # no -0.0, as in scenes
     slope = uniform(row, ranges[_SLOPE, 0], ranges[_SLOPE, 1])
     scalars[LENGTH], scalars[HEIGHT], scalars[DEPTH], scalars[MODULUS] = length, height, depth, modulus
@@ -87,7 +87,7 @@ def draw_flap(
     outlines = np.empty((count + 1, MOST_CORNERS, 2))  # one more to try the next in
     corners, boxes = np.empty(count + 1, np.int64), np.empty((count + 1, 4))
     order = np.empty(count, np.int64)
-    placed = 0
+    placed = np.int64(0)  # a literal would have what takes it compiled twice
     while placed < count and _place(row, ranges, length, height, outlines, corners, boxes, placed):
         place = placed
         while place > 0 and _is_left_of(outlines, corners, placed, order[place - 1]):
@@ -96,19 +96,18 @@ def draw_flap(
         order[place] = placed
         placed += 1
 
-    offsets[:] = 0
-    vertices[:] = 0.0
-    moduli[:] = 0.0
-    if placed < count:
-        return count, placed
-    end = 0
-    for v in range(count):
-        for k in range(corners[order[v]]):
-            vertices[end, 0], vertices[end, 1] = outlines[order[v], k, 0], outlines[order[v], k, 1]
-            end += 1
+    end, veins = 0, count if placed == count else 0
+    offsets[0] = 0
+    for v in range(moduli.size):
+        moduli[v] = 0.0
+        if v < veins:
+            for k in range(corners[order[v]]):
+                vertices[end, 0], vertices[end, 1] = outlines[order[v], k, 0], outlines[order[v], k, 1]
+                end += 1
+            moduli[v] = _log_uniform(row, ranges[_VEIN_MODULUS, 0], ranges[_VEIN_MODULUS, 1])
         offsets[v + 1] = end
-        moduli[v] = _log_uniform(row, ranges[_VEIN_MODULUS])
-    offsets[count + 1 :] = end
+    for k in range(end, vertices.shape[0]):
+        vertices[k, 0], vertices[k, 1] = 0.0, 0.0
     return count, placed
 
 
@@ -132,8 +131,8 @@ def draw_flaps(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _log_uniform(row: State, ends: Array) -> float:
-    return ends[0] * (ends[1] / ends[0]) ** random(row)
+def _log_uniform(row: State, low: float, high: float) -> float:
+    return low * (high / low) ** random(row)
 
 
 @njit(cache=True, nogil=True)
@@ -195,7 +194,7 @@ def _place(
 @njit(cache=True, nogil=True)
 def _draw_oval(row: State, a: float, b: float, oval: Array) -> int:
     """8 to 10 vertices around the origin, semi-axes about a and b m, dented and tilted a little."""
-    n = integers(row, 8, 10)
+    n = integers(row, np.int64(8), np.int64(MOST_CORNERS))
     for k in range(n):
         oval[k, 0] = (uniform(row, -0.25, 0.25) + k) * (math.tau / n)
     for k in range(n):

@@ -99,7 +99,7 @@ def uniform(row: State, low: float, high: float) -> float:
 
 
 @njit(cache=True, nogil=True)
-def integers(row: State, low: int, high: int) -> int:
+def integers(row: State, low: np.int64, high: np.int64) -> np.int64:
     """Whole number from low to high, both ends included, by Lemire's method (2019)."""
     span = np.uint64(high) - np.uint64(low)
     if span == _0:
