@@ -67,7 +67,7 @@ def room(most: int) -> tuple[Array, Array, Indices, Array]:
 @njit(cache=True, nogil=True, error_model="numpy")
 def draw_flap(
     row: State, ranges: Array, scalars: Array, vertices: Array, offsets: Indices, moduli: Array
-) -> tuple[int, int]:
+) -> tuple[np.int64, np.int64]:
     """Draw one flap from the generator's state `row` (6,), which goes on, and `ranges` (10, 2) of `table`.
 
     Returns how many veins were wanted and how many found room. Where these differ the flap is none.
@@ -84,9 +84,8 @@ def draw_flap(
     scalars[TARGET_X], scalars[SLOPE] = target, slope
 
     count = integers(row, np.int64(ranges[_VEINS, 0]), np.int64(ranges[_VEINS, 1]))
-    outlines = np.empty((count + 1, MOST_CORNERS, 2))  # one more to try the next in
-    corners, boxes = np.empty(count + 1, np.int64), np.empty((count + 1, 4))
-    order = np.empty(count, np.int64)
+    outlines, boxes = np.empty((count, MOST_CORNERS, 2)), np.empty((count, 4))
+    corners, order = np.empty(count, np.int64), np.empty(count, np.int64)
     placed = np.int64(0)  # a literal would have what takes it compiled twice
     while placed < count and _place(row, ranges, length, height, outlines, corners, boxes, placed):
         place = placed

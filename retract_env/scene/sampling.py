@@ -47,7 +47,7 @@ class SceneRanges(Frozen):
     error_type: ClassVar[type[ConfigError]] = SceneError
 
     veins: Annotated[tuple[int, int], BeforeValidator(_counts)] = (0, 20)
-    """How many; both ends occur."""
+    """How many, 500 at most; both ends occur."""
     vein_modulus: Ends = (8e4, 4e5)
     """Pa, log-uniform, for each vein."""
     vein_width: Ends = (0.25, 0.6)
@@ -71,7 +71,7 @@ class SceneRanges(Frozen):
 def sample_scene(rng: np.random.Generator, ranges: SceneRanges | None = None) -> Scene:
     """Random flap with irregular oval veins; the same rng state gives the same scene.
 
-    Raises SceneError if the ranges lead to values that no scene may have, or to veins without room.
+    NumPy's default generators, PCG64, are drawn from; another one seeds a PCG64, which is drawn from. Raises SceneError if the ranges lead to values that no scene may have, or to veins without room.
     """
     from retract_env.scene import flaps, pcg64  # compiled: the ranges alone are imported without numba
 
