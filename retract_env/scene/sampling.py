@@ -71,7 +71,8 @@ class SceneRanges(Frozen):
 def sample_scene(rng: np.random.Generator, ranges: SceneRanges | None = None) -> Scene:
     """Random flap with irregular oval veins; the same rng state gives the same scene.
 
-    NumPy's default generators, PCG64, are drawn from; another one seeds a PCG64, which is drawn from. Raises SceneError if the ranges lead to values that no scene may have, or to veins without room.
+    NumPy's default generators, PCG64, are drawn from; another one seeds a PCG64, which is drawn from. Raises
+    SceneError if the ranges lead to values that no scene may have, or to veins without room.
     """
     from retract_env.scene import flaps, pcg64  # compiled: the ranges alone are imported without numba
 
