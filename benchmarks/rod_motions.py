@@ -28,7 +28,7 @@ from benchmarks._report import on_one_thread
 from planners import paths
 from planners.eased import FIRST, PLACES, RADII, eased
 from retract_env.errors import Diverged, MeshError
-from retract_env.grasp import Grasp, to_pose
+from retract_env.grasp import Grasp
 from retract_env.mesh import jaw_range
 from retract_env.objectives import verdict
 from retract_env.physics.base import Physics, TissueState
@@ -41,7 +41,13 @@ from retract_env.task import actions
 Array = NDArray[np.float64]
 
 FOLDER = Path("out/rod")
-SETS = {"fit": (20_000, 100), "calibration": (30_000, 150), "test": (40_000, 200), "wide": (50_000, 60), "squeezes": (60_000, 300)}
+SETS = {
+    "fit": (20_000, 100),
+    "calibration": (30_000, 150),
+    "test": (40_000, 200),
+    "wide": (50_000, 60),
+    "squeezes": (60_000, 300),
+}
 """First seed and number of flaps."""
 WIDE = SceneRanges(
     length=(0.03, 0.08),
@@ -174,7 +180,20 @@ def row(pose: Array, progress: float, state: TissueState) -> list[float]:
     return [float(f"{v:.9g}") for v in numbers]
 
 
-COLUMNS = ("progress", "x", "y", "theta", "separation", "strain", "N1", "N2", "T1", "T2", "clearance", "overlap")
+COLUMNS = (
+    "progress",
+    "x",
+    "y",
+    "theta",
+    "separation",
+    "strain",
+    "N1",
+    "N2",
+    "T1",
+    "T2",
+    "clearance",
+    "overlap",
+)
 """of a state's row; both tangential forces point to the same side, along the flap towards its fixed end when
 it lies at rest"""
 
@@ -188,12 +207,15 @@ def stored(name: str, resolution: str = "fine") -> list[dict[str, Any]]:
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("sets", nargs="*", default=list(SETS), help=f"of {', '.join(SETS)}")
-    parser.add_argument("--resolution", default="fine")
+    parser.add_argument("--resolution", help="fine for the finite elements, otherwise the physics' own")
     parser.add_argument("--physics", default="fem")
     parser.add_argument("--flaps", type=int, help="only the first so many of each set")
     options = parser.parse_args(arguments)
     FOLDER.mkdir(parents=True, exist_ok=True)
-    label = options.resolution if options.physics == "fem" else options.physics
+    resolution = options.resolution or (
+        "fine" if options.physics == "fem" else physics_kind(options.physics).resolution
+    )
+    label = resolution if options.physics == "fem" else options.physics
     work = [
         (name, seed, kind)
         for name in options.sets
@@ -204,13 +226,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     work = [item for item in work if item not in there]
     start = time.perf_counter()
     for done, (name, seed, kind) in enumerate(work):
-        found = follow(name, seed, kind, options.physics, options.resolution)
+        found = follow(name, seed, kind, options.physics, resolution)
         with (FOLDER / f"{name}-{label}.jsonl").open("a", encoding="utf-8") as file:
             file.write(json.dumps(found) + "\n")
         if done % 20 == 19:
             left = (time.perf_counter() - start) / (done + 1) * (len(work) - done - 1)
             minutes = math.ceil(left / 60)
-            print(f"{name}: {done + 1} of {len(work)} motions, {minutes} min left", file=sys.stderr, flush=True)
+            print(
+                f"{name}: {done + 1} of {len(work)} motions, {minutes} min left", file=sys.stderr, flush=True
+            )
 
 
 if __name__ == "__main__":

@@ -107,6 +107,13 @@ PHYSICS = {
             resolution="coarse",
             about="the finite elements",
         ),
+        PhysicsKind(
+            "rod",
+            "TissueRetractRod-v0",
+            "retract_env.physics.rod:RodPhysics",
+            resolution="rod",
+            about="a planar rod",
+        ),
     )
 }
 """Every physics by its name; `retract_env.register_physics` adds those of other packages."""

@@ -303,9 +303,7 @@ def newton_step(W, Z, count, clamped):
             F[l + 18 * LANES] = W[STEP * LANES + l] = v1
             F[l + 19 * LANES] = W[(STEP + 1) * LANES + l] = v2
             F[l + 20 * LANES] = W[(STEP + 2) * LANES + l] = v3
-            W[SLOPE * LANES + l] += (
-                F[l + 15 * LANES] * v1 + F[l + 16 * LANES] * v2 + F[l + 17 * LANES] * v3
-            )
+            W[SLOPE * LANES + l] += F[l + 15 * LANES] * v1 + F[l + 16 * LANES] * v2 + F[l + 17 * LANES] * v3
             W[LARGEST * LANES + l] = max(W[LARGEST * LANES + l], abs(v3))
 
 

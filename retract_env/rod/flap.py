@@ -30,16 +30,13 @@ BED_STIFFNESS = 0.3
 """Of bed and block, E d per length of flap: what the tissue between axis and surface gives."""
 SHORTEST = 0.02
 """Least length of the free part, heights: a grasp at the free end leaves a stub, where otherwise nothing were."""
-ROOT = 0.1
-"""Length of flap, heights, that bends as much as the tissue at the jaws gives, which hold it by its surfaces."""
-EXTRUSION = 0.14
-"""By how much the tissue between the jaws pushes each part of the flap away from them, over their compression."""
 PLANE = 3.0
 """Depth over height at which half of the way is made from a narrow flap, whose fibres contract freely, to a deep
 one, whose fibres cannot contract along the depth."""
 
 # What a flap is, as a row of numbers; lengths in m, stresses in Pa
 LENGTH_M, HEIGHT, DEPTH, MODULUS, POISSON, SPECIFIC_WEIGHT, JAW_WIDTH, HAS_BED = range(8)
+NUMBERS = 8
 
 FREE_PARAMETERS, INNER_PARAMETERS = parameters_rows(FREE), parameters_rows(INNER)
 FREE_UNKNOWNS, INNER_UNKNOWNS = 3 * (FREE + 1), 3 * (INNER + 1)
@@ -50,7 +47,8 @@ FACTORS = factor_rows(max(FREE, INNER))
 def build(flap, vertices, offsets, moduli, x, root, free, inner, lane):
     """Parameters of both chains of a flap grasped at x, m, into one lane of free and inner.
 
-    flap: its numbers; vertices, offsets, moduli: of its veins, as `moments` has them.
+    flap: its numbers; vertices, offsets, moduli: of its veins, as `moments` has them; root: length of flap, heights,
+    that bends as much as the tissue at the jaws gives, which hold it by its surfaces.
     """
     height = flap[HEIGHT]
     weight = flap[SPECIFIC_WEIGHT] * height / flap[MODULUS]

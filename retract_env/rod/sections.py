@@ -16,6 +16,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from retract_env.scene import Tissue
+from retract_env.spring.columns import veins_of
 
 Array = NDArray[np.float64]
 
@@ -49,7 +50,9 @@ def elements(tissue: Tissue, left: float, right: float, count: int) -> Elements:
     """`count` elements between x = left and x = right, m. Compliances are means over slices."""
     length = (right - left) / count
     out = np.empty((3, count * SLICES))
-    moments(left + length / SLICES / 2, length / SLICES, tissue.height / 2, tissue.modulus, *outlines(tissue), out)
+    moments(
+        left + length / SLICES / 2, length / SLICES, tissue.height / 2, tissue.modulus, *veins_of(tissue), out
+    )
     area, first, second = out * tissue.depth
     determinant = area * second - first**2
     stretch, couple, bend = second / determinant, first / determinant, area / determinant
@@ -100,11 +103,3 @@ def moments(first, step, half, modulus, vertices, offsets, moduli, out):
                 out[1, i] += sign * y**2 / 2
                 out[2, i] += sign * y**3 / 3
                 i += 1
-
-
-def outlines(tissue: Tissue) -> tuple[Array, NDArray[np.int64], Array]:
-    """The veins as flat arrays: vertices (v, 2) m, offsets (k + 1,) into them, moduli (k,) Pa."""
-    rings = [np.asarray(vein.outline, float) for vein in tissue.veins]
-    offsets = np.cumsum([0, *map(len, rings)]).astype(np.int64)
-    vertices = np.concatenate(rings) if rings else np.empty((0, 2))
-    return vertices, offsets, np.array([vein.modulus for vein in tissue.veins], float)

@@ -1,0 +1,245 @@
+"""The flap as a planar rod: the physics that is fast enough to learn and to search on.
+
+What it computes and what it leaves out is said in `retract_env.rod`; how far it is from fine finite elements in
+docs/rod.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from retract_env.errors import Diverged
+from retract_env.mesh import SectionMesh, patch_ends
+from retract_env.physics.base import TissueState
+from retract_env.rod import block as rods
+from retract_env.rod import grip, measures
+from retract_env.rod.chain import LANES, LENGTH
+from retract_env.rod.flap import DEPTH, FREE, HEIGHT, INNER, MODULUS, SHORTEST
+from retract_env.scene import Scene
+from retract_env.spring.columns import veins_of
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+ROWS = 3
+"""Points of a section that are told: of the lower surface, the axis, the upper surface."""
+
+
+def flap_numbers(scene: Scene) -> Array:
+    """(NUMBERS,) as `retract_env.rod.flap` has them."""
+    tissue = scene.tissue
+    weight = tissue.density * scene.gravity
+    numbers = (tissue.length, tissue.height, tissue.depth, tissue.modulus, tissue.poisson, weight)
+    return np.array([*numbers, scene.jaws.width, float(scene.bed)])
+
+
+def sight_numbers(scene: Scene) -> Array:
+    """(SIGHT,) as `retract_env.rod.measures` has them."""
+    line, jaws = scene.line_of_sight, scene.jaws
+    return np.array([*line.camera, line.target[0], float(jaws.in_sight), jaws.thickness, jaws.stem])
+
+
+@lru_cache(maxsize=1)
+def laws() -> tuple[Array, Array]:
+    """The grip law's numbers, read once."""
+    return grip.load()
+
+
+@dataclass(frozen=True)
+class RodState:
+    """Where a `RodPhysics` stands."""
+
+    scene_hash: str
+    jaw_x: float
+    lane: dict[str, Array]
+    progress: float
+    state: TissueState
+
+
+class RodPhysics:
+    """One flap between two jaws. Moves are made whole or not at all; nothing stops them on their way."""
+
+    resolutions: ClassVar[tuple[str, ...]] = ("rod",)
+
+    def __init__(
+        self,
+        scene: Scene,
+        jaw_x: float,
+        resolution: str = "rod",
+        stop_when: Callable[[TissueState], bool] | None = None,  # noqa: ARG002
+    ):
+        """jaw_x: m, where the jaws grasp. Raises ValueError for a place off the flap, or an unknown resolution."""
+        if resolution not in self.resolutions:
+            raise ValueError(f"resolution = {resolution!r}, allowed {', '.join(self.resolutions)}")
+        patch_ends(scene, jaw_x)
+        self.scene, self.jaw_x = scene, jaw_x
+        self._veins = veins_of(scene.tissue)
+        self._laws, self._held = laws()
+        self._block = rods.new_block()
+        self._block.flap[0], self._block.sight[0] = flap_numbers(scene), sight_numbers(scene)
+        self.section = _section(scene, jaw_x)
+        self._progress = 0.0
+        self._state = self._lie()
+
+    def _lie(self) -> TissueState:
+        """The state at rest; the flap itself is left flat, from where its jaws close."""
+        self._progress = 0.0
+        rods.hold(self._block, 0, self.jaw_x, *self._veins, self._laws)
+        flat = rods.state_of(self._block, 0)
+        self._go(self.jaw_x, self.scene.tissue.height / 2, 0.0)
+        state = self._measured()
+        rods.set_state(self._block, 0, flat)
+        return state
+
+    def reset(self) -> TissueState:
+        """Let the flap rest on its bed between open jaws. Raises Diverged."""
+        self._state = self._lie()
+        return self._state
+
+    def move_to(self, pose: Array, progress: float | None = None) -> TissueState:
+        """Move the jaws straight to a pose (4,) x, y, theta, separation.
+
+        progress: where this is on a path, in waypoints. Raises Diverged; the flap is then where it was.
+        """
+        block, height = self._block, self.scene.tissue.height
+        x, y, theta, separation = np.asarray(pose, float).tolist()
+        before = block.grip[0, grip.COMPRESSION]
+        compression = (height - separation) / height
+        if compression != before:
+            rods.close(block, 0, self.jaw_x, compression, *self._veins, self._held)
+        try:
+            self._go(x, y, theta)
+        except Diverged:
+            if compression != before:
+                rods.close(block, 0, self.jaw_x, before, *self._veins, self._held)
+            raise
+        self._progress = self._progress if progress is None else progress
+        self._state = self._measured()
+        return self._state
+
+    def _go(self, x: float, y: float, theta: float) -> None:
+        rods.aim(self._block, 0, x, y, theta)
+        rods.advance(self._block, self._held)
+        if not self._block.done[0]:
+            raise Diverged("no equilibrium of the rod was found")
+
+    def state(self) -> TissueState:
+        """The last good state."""
+        return self._state
+
+    def close(self) -> None:
+        """Nothing to give back: this physics holds only memory of Python's own."""
+
+    def get_state(self) -> RodState:
+        """Where the flap stands, to be returned to any number of times."""
+        lane = rods.state_of(self._block, 0)
+        return RodState(self.scene.hash, self.jaw_x, lane, self._progress, self._state)
+
+    def set_state(self, state: object) -> None:
+        """Go on from there. Raises TypeError for no such state, ValueError for that of another flap or grasp."""
+        if not isinstance(state, RodState):
+            raise TypeError(f"state is a {type(state).__name__}, allowed a RodState")
+        if (state.scene_hash, state.jaw_x) != (self.scene.hash, self.jaw_x):
+            raise ValueError("state: of another flap or grasp")
+        rods.set_state(self._block, 0, state.lane)
+        self._progress, self._state = state.progress, state.state
+
+    def _measured(self) -> TissueState:
+        block = self._block
+        height = block.flap[0, HEIGHT]
+        out = block.measured[0].copy()
+        lower_x, lower_y, upper_x, upper_y = (
+            block.points.reshape(measures.COLUMNS, 4, LANES)[:, :, 0].T * height
+        )
+        points = np.empty((measures.COLUMNS, ROWS, 2))
+        points[:, 0, 0], points[:, 0, 1] = lower_x, lower_y
+        points[:, 2, 0], points[:, 2, 1] = upper_x, upper_y
+        points[:, 1] = (points[:, 0] + points[:, 2]) / 2
+        jaws = np.empty(4)
+        rods.jaws_in(block, 0, jaws)
+        axis = (jaws[2:] - jaws[:2]) / np.hypot(*(jaws[2:] - jaws[:2]))
+        along = np.array([axis[1], -axis[0]])
+        unit = block.flap[0, MODULUS] * height * block.flap[0, DEPTH]
+        press = unit * out[[measures.NORMAL_1, measures.NORMAL_2]] * [1, -1]
+        drag = unit * out[[measures.DRAG_1, measures.DRAG_2]]
+        strain, worst_at = self._strain()
+        return TissueState(
+            points=points.reshape(-1, 2),
+            strain=strain,
+            jaws=jaws,
+            reactions=-(press[:, None] * axis + drag[:, None] * along),
+            normals=np.array([axis, -axis]),
+            worst_strain=float(out[measures.WORST]),
+            worst_at=worst_at,
+            required_friction=out[[measures.FRICTION_1, measures.FRICTION_2]],
+            clearance=float(out[measures.CLEARANCE]),
+            progress=self._progress,
+            overlap=bool(out[measures.OVERLAP] > 0),
+        )
+
+    def _strain(self) -> tuple[Array, Array]:
+        """Mean strain of each section triangle, and where at rest the flap is strained most, (2,) m."""
+        block, c = self._block, self._block.grip[0, grip.COMPRESSION]
+        parts = ((block.free, block.free_u), (block.inner, block.inner_u))
+        found = [_fibres(p.reshape(-1, LANES)[LENGTH, 0], u.reshape(-1, 3, LANES)[:, :, 0]) for p, u in parts]
+        stretch, bend = np.concatenate(found, axis=1)
+        low, middle, high = (np.abs(stretch - z * bend) for z in (-0.5, 0.0, 0.5))
+        lower, upper = (low + 2 * middle) / 3, (high + 2 * middle) / 3
+        x = self.section.points[1::ROWS, 0][1::2]  # of the elements' middles
+        height = self.scene.tissue.height
+        squeezed = c / (1 + ((x - self.jaw_x) / (measures.PINCH * height)) ** 2)
+        surface = np.maximum(low, high)
+        worst = int(surface.argmax())
+        at = np.array([x[worst], 0.0 if low[worst] > high[worst] else height])
+        if grip.squeeze(block.grip[0], c)[1] > surface[worst]:
+            at = np.array([self.jaw_x, 0.0])
+        return np.stack([np.maximum(lower, squeezed), np.maximum(upper, squeezed)], axis=1).ravel(), at
+
+
+def _fibres(length: float, unknowns: Array) -> Array:
+    """(2, elements) stretch of the axis and curvature. length: of an element, heights; unknowns: (n, 3)."""
+    dx, dy, turn = np.diff(unknowns, axis=0).T / length
+    middle = (unknowns[1:, 2] + unknowns[:-1, 2]) / 2
+    return np.array([np.cos(middle) * dx + np.sin(middle) * dy - 1, turn])
+
+
+def columns_of(length: float, height: float, jaw_x: float) -> Array:
+    """(COLUMNS,) where the sections are at rest that are told of, m, from the free end to the fixed one."""
+    left = min(-length, jaw_x - SHORTEST * height)
+    free = left + (jaw_x - left) * (np.arange(2 * FREE) / (2 * FREE))
+    inner = jaw_x * (1 - np.arange(2 * INNER + 1) / (2 * INNER))
+    return np.concatenate([free, inner])
+
+
+def _section(scene: Scene, jaw_x: float) -> SectionMesh:
+    """Two triangles an element. Veins are not followed: they are in the sections' stiffness."""
+    tissue = scene.tissue
+    x = columns_of(tissue.length, tissue.height, jaw_x)
+    y = np.array([0.0, tissue.height / 2, tissue.height])
+    points = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+    cell = 2 * ROWS * np.arange(FREE + INNER, dtype=np.int32)[:, None]
+    corner, middle, far = cell, cell + ROWS, cell + 2 * ROWS
+    lower = np.hstack([corner, far, far + 2, middle, far + 1, middle + 1])
+    upper = np.hstack([corner, far + 2, corner + 2, middle + 1, middle + 2, corner + 1])
+    triangles = np.stack([lower, upper], axis=1).reshape(-1, 6).astype(np.int32)
+    grasp = ROWS * measures.JAWS_COLUMN
+    ends = np.repeat(np.diff(x[::2]), 3).reshape(-1, 3) * [1 / 6, 4 / 6, 1 / 6]
+    share = np.zeros(len(x))
+    for k in range(3):
+        np.add.at(share, np.arange(FREE + INNER) * 2 + k, ends[:, k])
+    return SectionMesh(
+        points=points,
+        triangles=triangles,
+        vein=np.full(len(triangles), -1, np.int32),
+        fixed=np.arange(len(points) - ROWS, len(points), dtype=np.int32),
+        patches=(np.array([grasp], np.int32), np.array([grasp + 2], np.int32)),
+        bottom=np.arange(0, len(points), ROWS, dtype=np.int32),
+        bottom_length=share,
+        smeared=tissue.veins,
+    )

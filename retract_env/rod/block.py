@@ -1,0 +1,208 @@
+"""LANES flaps side by side, each between jaws of its own: what environments and planners step.
+
+A block is a tuple of arrays, so that compiled code takes it as it is. `hold` puts a flap into a lane, `close` and
+`aim` say what its jaws do next, `advance` moves the jaws of all lanes and measures what has become of the flaps.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from retract_env.rod.chain import LANES, SCRATCH
+from retract_env.rod.flap import (
+    FACTORS,
+    FREE,
+    FREE_PARAMETERS,
+    FREE_UNKNOWNS,
+    HEIGHT,
+    INNER,
+    INNER_PARAMETERS,
+    INNER_UNKNOWNS,
+    JAW_WIDTH,
+    NUMBERS,
+    build,
+    lay_flat,
+    move,
+)
+from retract_env.rod.grip import COMPRESSION, GRIP, PUSH, ROOT, grip, squeeze
+from retract_env.rod.measures import (
+    CLEARANCE,
+    COLUMNS,
+    IN_SIGHT,
+    MEASURED,
+    SIGHT,
+    clear_of,
+    measure,
+    surfaces,
+    tool_clearance,
+    worst_strain,
+)
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+POSE = 4
+"""x, y, theta, and how far the tissue between the jaws pushes both parts away."""
+
+
+class Block(NamedTuple):
+    """Arrays of LANES flaps; rows of them where a comment gives no shape."""
+
+    flap: Array
+    """(LANES, NUMBERS) what each flap is"""
+    sight: Array
+    """(LANES, SIGHT) where one looks from"""
+    free: Array
+    inner: Array
+    free_u: Array
+    inner_u: Array
+    here: Array
+    """of the jaws, POSE rows"""
+    goal: Array
+    grip: Array
+    """(LANES, GRIP)"""
+    loads: Array
+    rod_strain: Array
+    points: Array
+    measured: Array
+    """(LANES, MEASURED)"""
+    todo: Flags
+    """(LANES,) which lanes' jaws are to move"""
+    done: Flags
+    """(LANES,) which did"""
+    scratch: Array
+    factors: Array
+    work: Array
+
+
+STATE = ("flap", "sight", "free", "inner", "free_u", "inner_u", "here", "grip", "loads", "points", "measured")
+"""What a block has to keep to go on as it would have gone on."""
+
+
+def state_of(block: Block, lane: int) -> dict[str, Array]:
+    """Copies of all that a lane goes on from."""
+    return {name: _lane(getattr(block, name), lane).copy() for name in STATE}
+
+
+def set_state(block: Block, lane: int, state: Mapping[str, Array]) -> None:
+    """Have a lane go on from there."""
+    for name in STATE:
+        _lane(getattr(block, name), lane)[...] = state[name]
+
+
+def _lane(array: Array, lane: int) -> Array:
+    return array[lane] if array.ndim == 2 else array.reshape(-1, LANES)[:, lane]
+
+
+def new_block() -> Block:
+    """A block without flaps."""
+
+    def rows(count: int) -> Array:
+        return np.zeros(count * LANES)
+
+    return Block(
+        np.zeros((LANES, NUMBERS)),
+        np.zeros((LANES, SIGHT)),
+        rows(FREE_PARAMETERS),
+        rows(INNER_PARAMETERS),
+        rows(FREE_UNKNOWNS),
+        rows(INNER_UNKNOWNS),
+        rows(POSE),
+        rows(POSE),
+        np.zeros((LANES, GRIP)),
+        rows(6),
+        rows(1),
+        rows(4 * COLUMNS),
+        np.zeros((LANES, MEASURED)),
+        np.zeros(LANES, np.bool_),
+        np.zeros(LANES, np.bool_),
+        rows(SCRATCH),
+        rows(FACTORS),
+        rows(4 + 4 * (FREE + INNER)),
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def hold(block, lane, x, vertices, offsets, moduli, laws):
+    """Let the flap of a lane lie flat between open jaws at x, m.
+
+    vertices, offsets, moduli: of its veins, see `retract_env.spring.columns`; laws: of `grip.load`.
+    """
+    flap, kept = block.flap[lane], block.grip[lane]
+    grip(flap, vertices, offsets, moduli, x, laws, kept)
+    kept[COMPRESSION] = 0.0
+    build(flap, vertices, offsets, moduli, x, 0.0, block.free, block.inner, lane)
+    lay_flat(block.free, block.free_u, FREE, x / flap[HEIGHT], lane)
+    lay_flat(block.inner, block.inner_u, INNER, 0.0, lane)
+    block.here[lane], block.here[LANES + lane] = x / flap[HEIGHT], 0.5
+    block.here[2 * LANES + lane] = block.here[3 * LANES + lane] = 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def close(block, lane, x, compression, vertices, offsets, moduli, held):
+    """Have the jaws of a lane, which grasp at x, m, closed by a compression, over the height, from the next move
+    on. held: of `grip.load`."""
+    block.grip[lane, COMPRESSION] = compression
+    root = held[ROOT] * compression
+    build(block.flap[lane], vertices, offsets, moduli, x, root, block.free, block.inner, lane)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def aim(block, lane, x, y, theta):
+    """Have the jaws of a lane move to x, y, m, and theta, rad, next."""
+    height, kept = block.flap[lane, HEIGHT], block.grip[lane]
+    block.goal[lane], block.goal[LANES + lane] = x / height, y / height
+    block.goal[2 * LANES + lane] = theta
+    block.goal[3 * LANES + lane] = kept[PUSH] * squeeze(kept, kept[COMPRESSION])[0]
+    block.todo[lane] = True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def advance(block, held):
+    """Move the jaws of all lanes in `todo` to where they are to go, and measure what has become of the flaps.
+
+    `done` says which got there; the others, and lanes not in `todo`, stay as they are, measures too.
+    """
+    move(
+        block.free,
+        block.inner,
+        block.free_u,
+        block.inner_u,
+        block.here,
+        block.goal,
+        block.todo,
+        block.scratch,
+        block.factors,
+        block.loads,
+        block.done,
+    )
+    for lane in range(LANES):
+        block.rod_strain[lane] = block.grip[lane, COMPRESSION]
+    surfaces(block.free_u, block.inner_u, block.rod_strain, block.points)
+    worst_strain(block.free, block.inner, block.free_u, block.inner_u, block.work, block.rod_strain)
+    jaws = np.empty(4)
+    for lane in range(LANES):
+        block.todo[lane] = False
+        if block.done[lane]:
+            flap, sight, out = block.flap[lane], block.sight[lane], block.measured[lane]
+            measure(block.here, block.loads, block.grip[lane], held, block.rod_strain, lane, out)
+            clear_of(flap[HEIGHT], block.points, sight, lane, out)
+            if sight[IN_SIGHT] > 0.0:
+                jaws_in(block, lane, jaws)
+                out[CLEARANCE] = min(out[CLEARANCE], tool_clearance(jaws, flap[JAW_WIDTH], sight))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def jaws_in(block, lane, out):
+    """Lower and upper jaw of a lane, x1, y1, x2, y2, m, into out (4,)."""
+    height = block.flap[lane, HEIGHT]
+    x, y, theta = block.here[lane] * height, block.here[LANES + lane] * height, block.here[2 * LANES + lane]
+    half = (1.0 - block.grip[lane, COMPRESSION]) * height / 2
+    dx, dy = -math.sin(theta) * half, math.cos(theta) * half
+    out[0], out[1], out[2], out[3] = x - dx, y - dy, x + dx, y + dy

@@ -1,0 +1,224 @@
+"""What is seen and felt of flaps that are rods: surfaces, clearance, strain, what the jaws feel."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from retract_env.objectives import WORST_FRACTION
+from retract_env.rod.chain import LANES, LENGTH
+from retract_env.rod.flap import FREE, INNER
+from retract_env.rod.grip import COMPRESSION, MOMENT, bearing, squeeze
+from retract_env.rod.mechanics import CONTRACT, sine_cosine, strains
+
+COLUMNS = 2 * (FREE + INNER) + 1
+"""Sections whose places are told: those at nodes and half way between them, from the free to the fixed end."""
+JAWS_COLUMN = 2 * FREE
+PINCH = 0.5
+"""Heights along the flap over which its thinning by the jaws falls to 1/e."""
+BISECTIONS = 16
+SHARPNESS = 6
+"""eps_1% = (squeeze^p + rod^p)^(1/p): both strain the same tissue beside the jaws only in part."""
+IN_BLOCK = 1e-3
+"""Heights that tissue has to be inside the fixed block to count, as on finite elements."""
+
+# What is measured, as a row of numbers
+WORST, NORMAL_1, NORMAL_2, DRAG_1, DRAG_2, FRICTION_1, FRICTION_2, CLEARANCE, OVERLAP = range(9)
+MEASURED = 9
+# Where one looks from, as a row of numbers, m, and the tool if it hides what is behind it
+CAMERA_X, CAMERA_Y, TARGET_X, IN_SIGHT, PAD, STEM = range(6)
+SIGHT = 6
+
+
+@njit(cache=True, nogil=True, fastmath=CONTRACT, error_model="numpy")
+def surfaces(Uf, Ui, thinned, points):
+    """Lower and upper surface of each lane at COLUMNS sections into points (4 COLUMNS LANES,): x and y of the
+    lower one, x and y of the upper one, heights. thinned (LANES,): compression over the height."""
+    _along(Uf, FREE, 0, thinned, points)
+    _along(Ui, INNER, JAWS_COLUMN, thinned, points)
+    # the two parts end at the jaws, pushed apart a little: the section there is half way
+    last = 3 * FREE * LANES
+    for l in range(LANES):
+        x = 0.5 * (Uf[last + l] + Ui[l])
+        y = 0.5 * (Uf[last + LANES + l] + Ui[LANES + l])
+        s, c = sine_cosine(Ui[2 * LANES + l])
+        half = 0.5 * (1.0 - thinned[l])
+        _put(points, JAWS_COLUMN * 4 * LANES + l, x, y, s, c, half)
+
+
+@njit(fastmath=CONTRACT, error_model="numpy")
+def _put(points, at, x, y, s, c, half):
+    points[at] = x + half * s
+    points[at + LANES] = y - half * c
+    points[at + 2 * LANES] = x - half * s
+    points[at + 3 * LANES] = y + half * c
+
+
+@njit(fastmath=CONTRACT, error_model="numpy")
+def _along(U, count, first, thinned, points):
+    """One chain's sections, from column `first` on; between nodes the axis is a cubic."""
+    x_jaws = U[3 * count * LANES : 3 * count * LANES + 2 * LANES] if first == 0 else U[: 2 * LANES]
+    for node in range(count + 1):
+        V = U[3 * node * LANES : 3 * node * LANES + 3 * LANES]
+        Q = points[4 * (first + 2 * node) * LANES : 4 * (first + 2 * node) * LANES + 4 * LANES]
+        for l in range(LANES):
+            s, c = sine_cosine(V[2 * LANES + l])
+            ax, ay = V[l] - x_jaws[l], V[LANES + l] - x_jaws[LANES + l]
+            far = math.sqrt(ax * ax + ay * ay) * (1.0 / PINCH)
+            half = 0.5 - 0.5 * thinned[l] / (1.0 + far * far)
+            Q[l] = V[l] + half * s
+            Q[LANES + l] = V[LANES + l] - half * c
+            Q[2 * LANES + l] = V[l] - half * s
+            Q[3 * LANES + l] = V[LANES + l] + half * c
+    for node in range(count):
+        V = U[3 * node * LANES : 3 * node * LANES + 6 * LANES]
+        Q = points[4 * (first + 2 * node + 1) * LANES : 4 * (first + 2 * node + 1) * LANES + 4 * LANES]
+        for l in range(LANES):
+            t0, t1 = V[2 * LANES + l], V[5 * LANES + l]
+            dx, dy = V[3 * LANES + l] - V[l], V[4 * LANES + l] - V[LANES + l]
+            length = math.sqrt(dx * dx + dy * dy)
+            s, c = sine_cosine(0.5 * (t0 + t1))
+            # Hermite's cubic with the sections' directions at both ends bulges by this much, to second order
+            bulge = 0.125 * length * (t1 - t0)
+            x = 0.5 * (V[l] + V[3 * LANES + l]) + bulge * s
+            y = 0.5 * (V[LANES + l] + V[4 * LANES + l]) - bulge * c
+            ax, ay = x - x_jaws[l], y - x_jaws[LANES + l]
+            far = math.sqrt(ax * ax + ay * ay) * (1.0 / PINCH)
+            half = 0.5 - 0.5 * thinned[l] / (1.0 + far * far)
+            Q[l] = x + half * s
+            Q[LANES + l] = y - half * c
+            Q[2 * LANES + l] = x - half * s
+            Q[3 * LANES + l] = y + half * c
+
+
+@njit(cache=True, nogil=True, fastmath=CONTRACT, error_model="numpy")
+def worst_strain(free, inner, Uf, Ui, work, out):
+    """eps_1% of each lane's rod, squeeze apart, into out (LANES,): the mean strain of the 1 % of volume that is
+    strained most.
+
+    In an element the strain goes linearly over the height. The mean of what lies above a level t, over that share
+    of the volume, is the least over t of t + (mean of what exceeds t) / share; the best t is found by bisection.
+    work: at least (4 (FREE + INNER) + 4) LANES numbers.
+    """
+    low, high, total = work[:LANES], work[LANES : 2 * LANES], work[2 * LANES : 3 * LANES]
+    for l in range(LANES):
+        low[l] = high[l] = 0.0
+        total[l] = FREE * free[LENGTH * LANES + l] + INNER * inner[LENGTH * LANES + l]
+    ends = work[4 * LANES :]
+    _extremes(free, Uf, FREE, ends, high)
+    _extremes(inner, Ui, INNER, ends[3 * FREE * LANES :], high)
+    share, above = work[3 * LANES : 4 * LANES], out
+    for _ in range(BISECTIONS):
+        for l in range(LANES):
+            above[l] = 0.5 * (low[l] + high[l])
+            share[l] = 0.0
+        for e in range(FREE + INNER):
+            V = ends[3 * e * LANES : 3 * e * LANES + 3 * LANES]
+            for l in range(LANES):
+                t, a, b = above[l], V[l], V[LANES + l]
+                over = max(b - t, 0.0) - max(a - t, 0.0) + max(-a - t, 0.0) - max(-b - t, 0.0)
+                share[l] += V[2 * LANES + l] * over / (b - a)
+        for l in range(LANES):
+            more = share[l] > WORST_FRACTION * total[l]
+            low[l] = above[l] if more else low[l]
+            high[l] = high[l] if more else above[l]
+    for l in range(LANES):
+        above[l] = 0.5 * (low[l] + high[l])
+        share[l] = 0.0
+    for e in range(FREE + INNER):
+        V = ends[3 * e * LANES : 3 * e * LANES + 3 * LANES]
+        for l in range(LANES):
+            t, a, b = above[l], V[l], V[LANES + l]
+            p, q, r, s = max(b - t, 0.0), max(a - t, 0.0), max(-a - t, 0.0), max(-b - t, 0.0)
+            share[l] += V[2 * LANES + l] * (p * p - q * q + r * r - s * s) / (2.0 * (b - a))
+    for l in range(LANES):
+        out[l] = above[l] + share[l] / (WORST_FRACTION * total[l])
+
+
+@njit(fastmath=CONTRACT, error_model="numpy")
+def _extremes(P, U, count, ends, high):
+    """Least and greatest strain over each element's height and its length into ends; the largest into high."""
+    for e in range(count):
+        V = U[3 * e * LANES : 3 * e * LANES + 6 * LANES]
+        Q = ends[3 * e * LANES : 3 * e * LANES + 3 * LANES]
+        for l in range(LANES):
+            length = P[LENGTH * LANES + l]
+            per = 1.0 / length
+            s, c = sine_cosine(0.5 * (V[2 * LANES + l] + V[5 * LANES + l]))
+            stretch = strains((V[3 * LANES + l] - V[l]) * per, (V[4 * LANES + l] - V[LANES + l]) * per, s, c)[
+                0
+            ]
+            half = 0.5 * abs(V[5 * LANES + l] - V[2 * LANES + l]) * per + 1e-9  # never without width
+            Q[l] = stretch - half
+            Q[LANES + l] = stretch + half
+            Q[2 * LANES + l] = length
+            high[l] = max(high[l], abs(stretch) + half)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def measure(pose, loads, kept, held, rod_strain, lane, out):
+    """What one lane's jaws feel, and its eps_1%, into out (MEASURED,).
+
+    pose: rows x, y, theta and push; loads: of `move`; kept, held: its grip and the weights of `bearing`; rod_strain
+    (LANES,): of `worst_strain`. Forces come in E h d. The moment that the jaws carry by their tangential forces is
+    that about the middle between them.
+    """
+    c, s = math.cos(pose[2 * LANES + lane]), math.sin(pose[2 * LANES + lane])
+    compression, push = kept[COMPRESSION], pose[3 * LANES + lane]
+    free_x, free_y, free_m = loads[lane], loads[LANES + lane], loads[2 * LANES + lane]
+    inner_x, inner_y, inner_m = loads[3 * LANES + lane], loads[4 * LANES + lane], loads[5 * LANES + lane]
+    free_along, inner_along = c * free_x + s * free_y, c * inner_x + s * inner_y
+    free_across, inner_across = c * free_y - s * free_x, c * inner_y - s * inner_x
+    squeezed, pressed = squeeze(kept, compression)
+    mean = bearing(kept, held, squeezed, inner_m, free_m, inner_along, free_along)
+    lift, drag = free_across + inner_across, free_along + inner_along
+    moment = free_m + inner_m + push * (inner_across - free_across)
+    couple = held[MOMENT] * moment / (1.0 - compression)
+    out[NORMAL_1], out[NORMAL_2] = mean + 0.5 * lift, mean - 0.5 * lift
+    out[DRAG_1], out[DRAG_2] = 0.5 * drag + couple, 0.5 * drag - couple
+    for jaw in range(2):
+        normal = out[NORMAL_1 + jaw]
+        out[FRICTION_1 + jaw] = abs(out[DRAG_1 + jaw]) / normal if normal > 0.0 else np.inf
+    a, b = pressed**SHARPNESS, rod_strain[lane] ** SHARPNESS
+    out[WORST] = (a + b) ** (1.0 / SHARPNESS)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def above(sight, x, y):
+    """How far (x, y), m, is above the line of sight; negative on the camera's side of it."""
+    dx, dy = sight[CAMERA_X] - sight[TARGET_X], sight[CAMERA_Y]
+    return ((x - sight[TARGET_X]) * dy - y * dx) / math.sqrt(dx * dx + dy * dy)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def clear_of(height, points, sight, lane, out):
+    """Clearance of one lane's lowest tissue, m, and whether any is inside the fixed block, into out."""
+    lowest, deepest = np.inf, -np.inf
+    for column in range(COLUMNS):
+        for surface in range(2):
+            at = (4 * column + 2 * surface) * LANES + lane
+            x, y = points[at], points[at + LANES]
+            lowest = min(lowest, above(sight, x * height, y * height))
+            deepest = max(deepest, min(x, 1.0 - y))
+    out[CLEARANCE] = lowest
+    out[OVERLAP] = 1.0 if deepest > IN_BLOCK else 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def tool_clearance(jaws, width, sight):
+    """Clearance, m, of the gripper's pads and stems, for jaws (4,) m; as `physics.measures.tool_outline` draws
+    them. width: m, of the jaws."""
+    long = math.hypot(jaws[2] - jaws[0], jaws[3] - jaws[1])
+    ax, ay = (jaws[2] - jaws[0]) / long, (jaws[3] - jaws[1]) / long
+    pad, stem = sight[PAD], sight[PAD] + sight[STEM]
+    lowest = np.inf
+    for jaw in range(2):
+        x, y, away = jaws[2 * jaw], jaws[2 * jaw + 1], 2.0 * jaw - 1.0
+        for side in (-1.0, 1.0):
+            for half, far in ((width / 2, 0.0), (width / 2, pad), (pad / 4, pad), (pad / 4, stem)):
+                px = x + side * half * ay + away * far * ax
+                py = y - side * half * ax + away * far * ay
+                lowest = min(lowest, above(sight, px, py))
+    return lowest
