@@ -1,0 +1,232 @@
+"""What is observed, rewarded and judged, as compiled formulas on plain numbers, for many flaps at once.
+
+`RetractionTask` and `objectives` say the same for one flap, as a reader wants to read it. Here is what a batch of
+environments computes instead; tests hold both together, to the last bit. `observe` and `along` serve both.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+KEYPOINTS = 10
+"""Points of each surface that are observed, from the free end on, equally far apart at rest."""
+STIFFNESS_SAMPLES = 50
+"""Places along the flap, in the middle of as many equal parts of it, where k_eq is observed."""
+
+# What has become of a state
+GOES_ON, STRAIN, SLIP, RELEASE, CONTACT, DIVERGED, OK = range(7)
+FAILURES = ("", "strain", "slip", "release", "contact", "diverged")
+
+# A limit each, of a row of three
+STRAIN_LIMIT, FRICTION_LIMIT, CLEARANCE_LIMIT = range(3)
+
+TERMS = ("exposure", "clearance", "strain", "friction", "success", "failure")
+"""of the reward, as `Weights` has them"""
+
+
+# No fastmath: every number has to be rounded as NumPy rounds it.
+@njit(cache=True, nogil=True, error_model="numpy")
+def along(at, points, station):
+    """Where a surface is, x and y, whose nodes are at `at` (n,) ascending and now at points (n, 2), m; linear between
+    them and the same beyond the ends."""
+    last = len(at) - 1
+    if station <= at[0]:
+        return points[0, 0], points[0, 1]
+    if station >= at[last]:
+        return points[last, 0], points[last, 1]
+    low, high = 0, last
+    while high - low > 1:
+        middle = (low + high) // 2
+        if at[middle] <= station:
+            low = middle
+        else:
+            high = middle
+    share = (station - at[low]) / (at[high] - at[low])
+    return (
+        points[low, 0] + share * (points[high, 0] - points[low, 0]),
+        points[low, 1] + share * (points[high, 1] - points[low, 1]),
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def observe(
+    holding,
+    time_left,
+    jaws,
+    length,
+    height,
+    at_lower,
+    lower,
+    at_upper,
+    upper,
+    sight,
+    k_eq,
+    strain,
+    most_strain,
+    friction_1,
+    friction_2,
+    most_friction,
+    clearance,
+    exposure,
+    limits,
+    low,
+    high,
+    out,
+):
+    """The observation, as LAYOUT describes it, into out (SIZE,) float32.
+
+    jaws: (4,) m; at_lower, lower, at_upper, upper: (n,), (n, 2) m, both surfaces at rest and now; sight: (3,) target, slope, nearness;
+    k_eq: (STIFFNESS_SAMPLES,), modulus / height; limits: (3,); low, high: bounds (SIZE,) float32.
+    """
+    dx, dy = jaws[2] - jaws[0], jaws[3] - jaws[1]
+    separation = math.sqrt(dx * dx + dy * dy)
+    i = 0
+    for value in (
+        1.0 if holding else 0.0,
+        time_left,
+        (jaws[0] + jaws[2]) / 2 / length,
+        (jaws[1] + jaws[3]) / 2 / length,
+        -dx / separation if separation > 0 else 0.0,
+        dy / separation if separation > 0 else 1.0,
+        separation / height,
+    ):
+        out[i] = min(max(value, low[i]), high[i])
+        i += 1
+    for surface in range(2):
+        for k in range(KEYPOINTS):
+            station = -length * (1 - k / KEYPOINTS)
+            x, y = along(at_upper, upper, station) if surface else along(at_lower, lower, station)
+            out[i] = min(max(x / length, low[i]), high[i])
+            out[i + 1] = min(max(y / length, low[i + 1]), high[i + 1])
+            i += 2
+    for k in range(3):
+        out[i] = min(max(sight[k], low[i]), high[i])
+        i += 1
+    for k in range(STIFFNESS_SAMPLES):
+        out[i] = min(max(k_eq[k], low[i]), high[i])
+        i += 1
+    for value in (
+        strain / limits[STRAIN_LIMIT],
+        most_strain / limits[STRAIN_LIMIT],
+        friction_1 / limits[FRICTION_LIMIT],
+        friction_2 / limits[FRICTION_LIMIT],
+        most_friction / limits[FRICTION_LIMIT],
+        clearance / length,
+        exposure,
+    ):
+        out[i] = min(max(value, low[i]), high[i])
+        i += 1
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def exposed(lower, upper, camera_x, camera_y, target, near):
+    """Fraction of the bed from x = near to the target that the camera sees past a flap, as `objectives.exposure`.
+
+    lower, upper: (n, 2) m, both surfaces from the free to the fixed end. The outline is closed, so that what it
+    hides of the bed reaches from the first to the last ray through it, as long as all of it is below the camera.
+    """
+    low, high, below = np.inf, -np.inf, True
+    last = len(lower) - 1
+    for i in range(len(lower)):
+        for surface in range(3):
+            # of the section's middle only the ends belong to the outline
+            if surface == 0:
+                x, y = lower[i, 0], lower[i, 1]
+            elif surface == 1:
+                x, y = upper[i, 0], upper[i, 1]
+            elif i == 0 or i == last:
+                x, y = (lower[i, 0] + upper[i, 0]) / 2, (lower[i, 1] + upper[i, 1]) / 2
+            else:
+                continue
+            drop = camera_y - max(y, 0.0)
+            if drop > 0:
+                hit = camera_x + (x - camera_x) * camera_y / drop
+                low, high = min(low, hit), max(high, hit)
+            else:
+                below = False
+    if not below:
+        return _exposed_above(lower, upper, camera_x, camera_y, target, near)
+    low, high = min(max(low, near), target), min(max(high, near), target)
+    seen = 0.0
+    if low > near:
+        seen += low - near
+    if target > high:
+        seen += target - high
+    return min(1.0, seen / (target - near))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _exposed_above(lower, upper, camera_x, camera_y, target, near):
+    """`exposed` where part of the flap is as high as the camera: every edge of the outline by itself."""
+    n = len(lower)
+    ring = np.empty((2 * n + 3, 2))
+    for i in range(n):
+        ring[i] = lower[i]
+        ring[n + 1 + i] = upper[n - 1 - i]
+    for k in range(2):
+        ring[n, k] = (lower[n - 1, k] + upper[n - 1, k]) / 2
+        ring[2 * n + 1, k] = (lower[0, k] + upper[0, k]) / 2
+        ring[2 * n + 2, k] = lower[0, k]
+    begins, ends, count = np.empty(2 * n + 2), np.empty(2 * n + 2), 0
+    for i in range(2 * n + 2):
+        px, py, qx, qy = ring[i, 0], ring[i, 1], ring[i + 1, 0], ring[i + 1, 1]
+        a, b = _hit(px, py, camera_x, camera_y), _hit(qx, qy, camera_x, camera_y)
+        if math.isinf(a) and math.isinf(b):
+            continue
+        if math.isinf(a) or math.isinf(b):
+            # on its way up past the camera, an edge leaves on the side where it is level with it
+            level = px + (qx - px) * (camera_y - py) / (qy - py)
+            away = math.copysign(np.inf, level - camera_x)
+            a, b = away if math.isinf(a) else a, away if math.isinf(b) else b
+        a, b = min(max(a, near), target), min(max(b, near), target)
+        begins[count], ends[count] = min(a, b), max(a, b)
+        count += 1
+    seen, hidden_to = 0.0, near
+    for i in np.argsort(begins[:count]):
+        if begins[i] > hidden_to:
+            seen += begins[i] - hidden_to
+        hidden_to = max(hidden_to, ends[i])
+    if target > hidden_to:
+        seen += target - hidden_to
+    return min(1.0, seen / (target - near))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _hit(x, y, camera_x, camera_y):
+    drop, aside = camera_y - max(y, 0.0), x - camera_x
+    return camera_x + aside * camera_y / drop if drop > 0 else math.copysign(np.inf, aside)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def verdict(strain, friction, clearance, limits, overlap):
+    """What has become of a state, as `objectives.verdict`: a code."""
+    if strain > limits[STRAIN_LIMIT]:
+        return STRAIN
+    if math.isinf(friction):
+        return RELEASE
+    if friction > limits[FRICTION_LIMIT]:
+        return SLIP
+    if overlap:
+        return CONTACT
+    return OK if clearance >= limits[CLEARANCE_LIMIT] else GOES_ON
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def way(clearance, outset, asked):
+    """Part of the way from the clearance at rest to what the scene asks for, in [0, 1]."""
+    return min(max(1 - (clearance - asked) / (outset - asked), 0.0), 1.0)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def rest_clearance(length, height, camera_x, camera_y, target):
+    """Clearance, m, of the flap before it is touched, as `objectives.clearance` has it."""
+    long = math.hypot(camera_x - target, camera_y)
+    dx, dy = (camera_x - target) / long, camera_y / long
+    lowest = np.inf
+    for x in (-length, -length / 2, 0.0):
+        for y in (0.0, height / 2, height):
+            lowest = min(lowest, (x - target) * dy - y * dx)
+    return lowest
