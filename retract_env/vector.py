@@ -35,6 +35,7 @@ from retract_env.scene.sampling import POISSON, SceneRanges
 from retract_env.spring.columns import veins_of
 from retract_env.task import SLICES, Sensors, TaskConfig, actions
 from retract_env.task.episode import spring_grasps
+from retract_env.task.batch import act_range, advance_range, begin_range, look_range, settle_range, show_range
 from retract_env.task.lanes import (
     COST,
     COST_FRICTION,
@@ -50,9 +51,6 @@ from retract_env.task.lanes import (
     Lanes,
     Rules,
     Told,
-    look,
-    reset_range,
-    step_range,
 )
 from retract_env.task.observation import SIZE, bounds
 from retract_env.task.rules import FAILURES, STIFFNESS_SAMPLES, TERMS
@@ -195,9 +193,11 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
                 self._prepare(int(k))
         elif self._special.any():
             modes[self._special] = MODES[AutoresetMode.DISABLED]
-        told.failed[:] = False
-        self._workers.run(step_range, flaps, chosen, modes)
-        self._check(told.failed)
+        self._workers.run(act_range, flaps, chosen, modes)
+        self._workers.run(advance_range, flaps)
+        self._workers.run(settle_range, flaps, modes)
+        if told.renewed.any():
+            self._begin(told.renewed)
         ended = told.terminated | told.truncated
         late = ended & self._special if self.autoreset_mode == AutoresetMode.SAME_STEP else None
         if late is not None and late.any():
@@ -253,9 +253,13 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
         self._flaps.lanes.given[k] = (grip.x, grip.compression) if isinstance(grip, Grasp) else np.nan
 
     def _begin(self, mask: Flags) -> None:
-        self._flaps.told.failed[:] = False
-        self._workers.run(reset_range, self._flaps, mask)
-        self._check(self._flaps.told.failed)
+        flaps, told = self._flaps, self._flaps.told
+        told.renewed[:], told.failed[:] = mask, False
+        self._workers.run(begin_range, flaps)
+        if not np.isnan(flaps.lanes.given[mask]).all():
+            self._workers.run(advance_range, flaps)
+        self._workers.run(show_range, flaps)
+        self._check(told.failed)
 
     def _check(self, failed: Flags) -> None:
         if failed.any():
@@ -417,7 +421,7 @@ class Flaps:
         )
         observation = np.zeros((n, SIZE), np.float32)
         self.told = Told(
-            observation, rows(), flags(), flags(), rows(INFO), observation.copy(), rows(INFO), flags()
+            observation, rows(), flags(), flags(), rows(INFO), observation.copy(), rows(INFO), flags(), flags()
         )
         # what all random flaps have alike; sampling one also refuses ranges that no scene may have
         self._alike = sample_scene(np.random.default_rng(0), ranges)
@@ -432,8 +436,8 @@ class Flaps:
         lanes.offsets[k, : len(offsets)], lanes.offsets[k, len(offsets) :] = offsets, offsets[-1]
         lanes.moduli[k, : len(moduli)], lanes.moduli[k, len(moduli) :] = moduli, 0.0
         self._alike_in(k, scene)
-        block, lane = divmod(k, LANES)
-        look(lanes, self.block(block), k)
+        block = k // LANES
+        look_range(self.blocks, self.lanes, self.rules, self.told, block, block + 1)
 
     def put_random(self, k: int) -> None:
         """Have environment k draw a flap when its next episode begins."""
@@ -462,10 +466,6 @@ class Flaps:
             moduli = np.pad(lanes.moduli, ((0, 0), (0, more[1])))
             grown = np.pad(lanes.vertices, ((0, 0), (0, more[0]), (0, 0)))
             self.lanes = lanes._replace(vertices=grown, offsets=offsets, moduli=moduli)
-
-    def block(self, b: int) -> Block:
-        """Block b, a view."""
-        return Block(*(array[b] for array in self.blocks))
 
     def state(self) -> dict[str, NDArray[Any]]:
         """Copies of all that n environments go on from, n rows each."""
@@ -500,7 +500,7 @@ class Workers:
         self._process = os.getpid()
 
     def run(self, kernel: Any, flaps: Flaps, *arguments: Any) -> None:
-        """Have a kernel, `step_range` or `reset_range`, do all blocks."""
+        """Have a kernel of `retract_env.task.batch` do all blocks."""
         count = len(flaps.blocks.flap)
         threads = min(self.threads, count)
         ends = [count * k // threads for k in range(threads + 1)]

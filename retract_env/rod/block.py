@@ -129,28 +129,28 @@ def new_block() -> Block:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def hold(block, lane, x, vertices, offsets, moduli, laws):
-    """Let the flap of a lane lie flat between open jaws at x, m.
-
-    vertices, offsets, moduli: of its veins, see `retract_env.spring.columns`; laws: of `grip.load`.
-    """
-    flap, kept = block.flap[lane], block.grip[lane]
-    grip(flap, vertices, offsets, moduli, x, laws, kept)
-    kept[COMPRESSION] = 0.0
-    build(flap, vertices, offsets, moduli, x, 0.0, block.free, block.inner, lane)
-    lay_flat(block.free, block.free_u, FREE, x / flap[HEIGHT], lane)
-    lay_flat(block.inner, block.inner_u, INNER, 0.0, lane)
-    block.here[lane], block.here[LANES + lane] = x / flap[HEIGHT], 0.5
-    block.here[2 * LANES + lane] = block.here[3 * LANES + lane] = 0.0
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def close(block, lane, x, compression, vertices, offsets, moduli, held):
     """Have the jaws of a lane, which grasp at x, m, closed by a compression, over the height, from the next move
     on. held: of `grip.load`."""
     block.grip[lane, COMPRESSION] = compression
     root = held[ROOT] * compression
     build(block.flap[lane], vertices, offsets, moduli, x, root, block.free, block.inner, lane)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def hold(block, lane, x, compression, vertices, offsets, moduli, laws, held):
+    """Let the flap of a lane lie flat between jaws at x, m, that close by a compression, over the height, with the
+    next move.
+
+    vertices, offsets, moduli: of its veins, see `retract_env.spring.columns`; laws, held: of `grip.load`.
+    """
+    flap, kept = block.flap[lane], block.grip[lane]
+    grip(flap, vertices, offsets, moduli, x, laws, kept)
+    close(block, lane, x, compression, vertices, offsets, moduli, held)
+    lay_flat(block.free, block.free_u, FREE, x / flap[HEIGHT], lane)
+    lay_flat(block.inner, block.inner_u, INNER, 0.0, lane)
+    block.here[lane], block.here[LANES + lane] = x / flap[HEIGHT], 0.5
+    block.here[2 * LANES + lane] = block.here[3 * LANES + lane] = 0.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

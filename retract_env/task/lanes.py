@@ -14,12 +14,11 @@ from numba import njit
 from numpy.typing import NDArray
 
 from retract_env.mesh.jaws import SLIVER
-from retract_env.rod.block import Block, advance, aim, close, hold, jaws_in
-from retract_env.rod.chain import LANES, SCRATCH
+from retract_env.rod.block import aim, hold, jaws_in
+from retract_env.rod.chain import LANES
 from retract_env.rod.flap import (
     DEPTH,
     FREE,
-    FACTORS,
     HEIGHT,
     INNER,
     JAW_WIDTH,
@@ -60,6 +59,9 @@ from retract_env.task.rules import (
 )
 
 Array = NDArray[np.float64]
+
+INSIDE = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+"""How functions are compiled that only compiled code calls: half of the time went into ways to call them."""
 
 
 class Rules(NamedTuple):
@@ -149,6 +151,8 @@ class Told(NamedTuple):
     last_observation: NDArray[np.float32]
     last_info: Array
     """of episodes that ended in this step, where a new one began in the same"""
+    renewed: NDArray[np.bool_]
+    """whether the row is of a new episode"""
     failed: NDArray[np.bool_]
     """whether an episode could not begin: no room for the veins, or a grasp that cannot be closed"""
 
@@ -158,11 +162,8 @@ SUCCESS, FAILURE, COST, COST_STRAIN, COST_FRICTION, MOST_STRAIN, MOST_FRICTION, 
 REWARD_TERMS = 9
 INFO = REWARD_TERMS + len(TERMS)
 
-NEXT_STEP, SAME_STEP, DISABLED = range(3)
-"""When an episode that is over is followed by a new one, as Gymnasium has it."""
 
-
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INSIDE)
 def new_flap(lanes, rules, block, i):
     """Give environment i a random flap; False where its veins have no room."""
     lane = i % LANES
@@ -178,7 +179,7 @@ def new_flap(lanes, rules, block, i):
     return wanted == placed
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INSIDE)
 def look(lanes, block, i):
     """What does not change while environment i has this flap and line of sight."""
     flap, sight, lane = block.flap[i % LANES], block.sight[i % LANES], i % LANES
@@ -197,7 +198,7 @@ def look(lanes, block, i):
     lanes.outset[i] = rest_clearance(length, height, sight[CAMERA_X], sight[CAMERA_Y], sight[TARGET_X])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INSIDE)
 def begin(lanes, rules, block, i):
     """Environment i at the outset of an episode; False where there is no room for a random flap's veins."""
     if lanes.random[i] and not new_flap(lanes, rules, block, i):
@@ -218,7 +219,7 @@ def begin(lanes, rules, block, i):
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INSIDE)
 def _at_rest(length, height):
     """Places along the flap and both surfaces there, before it is touched."""
     at, lower, upper = np.empty(3), np.empty((3, 2)), np.empty((3, 2))
@@ -229,7 +230,7 @@ def _at_rest(length, height):
     return at, lower, upper
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INSIDE)
 def act(lanes, rules, block, i, action):
     """Have environment i's jaws close or move as an action (3,) within [-1, 1] says, once its block advances."""
     lane = i % LANES
@@ -248,7 +249,7 @@ def act(lanes, rules, block, i, action):
     take(lanes, rules, block, i, near + along * (far - near), compression)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INSIDE)
 def take(lanes, rules, block, i, x, compression):
     """Have environment i's jaws close at x by a compression, m, once its block advances."""
     lane = i % LANES
@@ -256,12 +257,12 @@ def take(lanes, rules, block, i, x, compression):
     veins = lanes.vertices[i], lanes.offsets[i], lanes.moduli[i]
     lanes.grasp[i, 0], lanes.grasp[i, 1] = x, compression
     pose[0], pose[1], pose[2], pose[3] = x, height / 2, 0.0, height - compression
-    hold(block, lane, x, veins[0], veins[1], veins[2], rules.laws)
-    close(block, lane, x, (height - pose[3]) / height, veins[0], veins[1], veins[2], rules.held)
+    closed = (height - pose[3]) / height
+    hold(block, lane, x, closed, veins[0], veins[1], veins[2], rules.laws, rules.held)
     aim(block, lane, x, height / 2, 0.0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INSIDE)
 def settle(lanes, rules, block, i, told):
     """What a step has led to in environment i, whose block has advanced, into its row of told."""
     lane = i % LANES
@@ -287,7 +288,7 @@ def settle(lanes, rules, block, i, told):
     observe_now(lanes, rules, block, i, told.observation[i])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INSIDE)
 def hold_on(lanes, block, i):
     """Take over what was measured of environment i after its jaws closed or moved."""
     lane = i % LANES
@@ -304,7 +305,7 @@ def hold_on(lanes, block, i):
     lanes.exposure[i] = exposed(lower, upper, sight[CAMERA_X], sight[CAMERA_Y], sight[TARGET_X], -length)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INSIDE)
 def _judge(lanes, rules, i, before):
     """Code of what has become of environment i, whether the target is in view, whether a limit broke now."""
     limits = lanes.limits[i]
@@ -319,14 +320,14 @@ def _judge(lanes, rules, i, before):
     return failure, in_view, failure != GOES_ON and before == GOES_ON
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INSIDE)
 def _broken_so_far(lanes, i):
     return verdict(
         lanes.most_strain[i], lanes.most_friction[i], -np.inf, lanes.limits[i], lanes.overlapped[i]
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INSIDE)
 def _reward(lanes, rules, i, exposure, clearance, most_strain, most_friction, in_view, broke):
     """The weighted terms of environment i's reward; the arguments say how it stood before."""
     strain, friction, asked = lanes.limits[i, STRAIN_LIMIT], lanes.limits[i, FRICTION_LIMIT], lanes.limits[i, 2]
@@ -343,7 +344,7 @@ def _reward(lanes, rules, i, exposure, clearance, most_strain, most_friction, in
         terms[k] = rules.weights[k] * terms[k] + 0.0  # no -0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INSIDE)
 def _surfaces(block, lane):
     """Lower and upper surface (COLUMNS, 2) m of one lane."""
     height = block.flap[lane, HEIGHT]
@@ -356,7 +357,7 @@ def _surfaces(block, lane):
     return lower, upper
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INSIDE)
 def observe_now(lanes, rules, block, i, out):
     """Environment i observed into out."""
     lane = i % LANES
@@ -376,7 +377,7 @@ def observe_now(lanes, rules, block, i, out):
     _observe(lanes, rules, block, i, at, lower, upper, out)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INSIDE)
 def _observe(lanes, rules, block, i, at, lower, upper, out):
     flap = block.flap[i % LANES]
     observe(
@@ -412,7 +413,7 @@ def _observe(lanes, rules, block, i, at, lower, upper, out):
             out[k] = 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INSIDE)
 def tell(lanes, rules, i, row):
     """What is told of environment i besides, into row (INFO,)."""
     strain, friction = lanes.limits[i, STRAIN_LIMIT], lanes.limits[i, FRICTION_LIMIT]
@@ -430,90 +431,3 @@ def tell(lanes, rules, i, row):
         row[REWARD_TERMS + k] = lanes.terms[i, k]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _block(blocks, b, scratch, factors, work, rod_strain):
-    """Block b of blocks, whose arrays have one more dimension in front, with scratch arrays of the caller's."""
-    return Block(
-        blocks.flap[b],
-        blocks.sight[b],
-        blocks.free[b],
-        blocks.inner[b],
-        blocks.free_u[b],
-        blocks.inner_u[b],
-        blocks.here[b],
-        blocks.goal[b],
-        blocks.grip[b],
-        blocks.loads[b],
-        rod_strain,
-        blocks.points[b],
-        blocks.measured[b],
-        blocks.todo[b],
-        blocks.done[b],
-        scratch,
-        factors,
-        work,
-    )
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def reset_range(blocks, lanes, rules, told, first, last, wanted):
-    """Begin new episodes in blocks first to last, exclusive, where wanted (n,)."""
-    scratch, factors = np.empty(SCRATCH * LANES), np.empty(FACTORS * LANES)
-    work, rod_strain = np.empty((4 + 4 * (FREE + INNER)) * LANES), np.empty(LANES)
-    for b in range(first, last):
-        block = _block(blocks, b, scratch, factors, work, rod_strain)
-        _begin_those(lanes, rules, block, told, b, wanted)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _begin_those(lanes, rules, block, told, b, wanted):
-    """New episodes in block b, where wanted (n,): begun, closed on a given grasp if any, observed and told."""
-    end = min((b + 1) * LANES, len(lanes.steps))
-    closing = False
-    for i in range(b * LANES, end):
-        if wanted[i]:
-            told.failed[i] = not begin(lanes, rules, block, i)
-            if not told.failed[i] and not math.isnan(lanes.given[i, 0]):
-                take(lanes, rules, block, i, lanes.given[i, 0], lanes.given[i, 1])
-                closing = True
-    if closing:
-        advance(block, rules.held)
-    for i in range(b * LANES, end):
-        if wanted[i]:
-            if not math.isnan(lanes.given[i, 0]) and not told.failed[i]:
-                told.failed[i] = not block.done[i % LANES]
-                if block.done[i % LANES]:
-                    hold_on(lanes, block, i)
-            observe_now(lanes, rules, block, i, told.observation[i])
-            tell(lanes, rules, i, told.info[i])
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def step_range(blocks, lanes, rules, told, first, last, actions, modes):
-    """One step of the environments in blocks first to last, exclusive; actions (n, 3) within [-1, 1];
-    modes (n,): when an episode that is over is followed by a new one."""
-    scratch, factors = np.empty(SCRATCH * LANES), np.empty(FACTORS * LANES)
-    work, rod_strain = np.empty((4 + 4 * (FREE + INNER)) * LANES), np.empty(LANES)
-    ended = np.zeros(len(lanes.steps), np.bool_)
-    for b in range(first, last):
-        block = _block(blocks, b, scratch, factors, work, rod_strain)
-        end = min((b + 1) * LANES, len(lanes.steps))
-        renewed = False
-        for i in range(b * LANES, end):
-            ended[i] = modes[i] == NEXT_STEP and lanes.over[i]
-            if ended[i]:
-                told.reward[i], told.terminated[i], told.truncated[i] = 0.0, False, False
-                renewed = True
-            else:
-                act(lanes, rules, block, i, actions[i])
-        advance(block, rules.held)
-        for i in range(b * LANES, end):
-            if not ended[i]:
-                settle(lanes, rules, block, i, told)
-                tell(lanes, rules, i, told.info[i])
-                if modes[i] == SAME_STEP and lanes.over[i]:
-                    ended[i] = renewed = True
-                    told.last_observation[i] = told.observation[i]
-                    told.last_info[i] = told.info[i]
-        if renewed:
-            _begin_those(lanes, rules, block, told, b, ended)

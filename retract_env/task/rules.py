@@ -170,22 +170,40 @@ def _exposed_above(lower, upper, camera_x, camera_y, target, near):
         ring[n, k] = (lower[n - 1, k] + upper[n - 1, k]) / 2
         ring[2 * n + 1, k] = (lower[0, k] + upper[0, k]) / 2
         ring[2 * n + 2, k] = lower[0, k]
-    begins, ends, count = np.empty(2 * n + 2), np.empty(2 * n + 2), 0
+    edges = np.empty((2 * n + 2, 2, 2))
     for i in range(2 * n + 2):
-        px, py, qx, qy = ring[i, 0], ring[i, 1], ring[i + 1, 0], ring[i + 1, 1]
-        a, b = _hit(px, py, camera_x, camera_y), _hit(qx, qy, camera_x, camera_y)
-        if math.isinf(a) and math.isinf(b):
-            continue
-        if math.isinf(a) or math.isinf(b):
-            # on its way up past the camera, an edge leaves on the side where it is level with it
-            level = px + (qx - px) * (camera_y - py) / (qy - py)
-            away = math.copysign(np.inf, level - camera_x)
-            a, b = away if math.isinf(a) else a, away if math.isinf(b) else b
-        a, b = min(max(a, near), target), min(max(b, near), target)
-        begins[count], ends[count] = min(a, b), max(a, b)
-        count += 1
+        edges[i, 0], edges[i, 1] = ring[i], ring[i + 1]
+    return exposed_past(edges, camera_x, camera_y, target, near)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def exposed_past(outline, camera_x, camera_y, target, near):
+    """`objectives.exposure` past pieces of an outline (n, k, 2) m, k points in a row each."""
+    pieces, points = outline.shape[0], outline.shape[1]
+    begins, ends = np.empty(pieces * (points - 1)), np.empty(pieces * (points - 1))
+    count = 0
+    for piece in range(pieces):
+        for k in range(points - 1):
+            px, py = outline[piece, k, 0], outline[piece, k, 1]
+            qx, qy = outline[piece, k + 1, 0], outline[piece, k + 1, 1]
+            a, b = _hit(px, py, camera_x, camera_y), _hit(qx, qy, camera_x, camera_y)
+            if math.isinf(a) and math.isinf(b):
+                continue
+            if math.isinf(a) or math.isinf(b):
+                # on its way up past the camera, an edge leaves on the side where it is level with it
+                level = px + (qx - px) * (camera_y - py) / (qy - py)
+                away = math.copysign(np.inf, level - camera_x)
+                a, b = away if math.isinf(a) else a, away if math.isinf(b) else b
+            a, b = min(max(a, near), target), min(max(b, near), target)
+            # put in its place among those so far; NumPy's sort would take seconds to compile
+            place, begin, end = count, min(a, b), max(a, b)
+            while place > 0 and begins[place - 1] > begin:
+                begins[place], ends[place] = begins[place - 1], ends[place - 1]
+                place -= 1
+            begins[place], ends[place] = begin, end
+            count += 1
     seen, hidden_to = 0.0, near
-    for i in np.argsort(begins[:count]):
+    for i in range(count):
         if begins[i] > hidden_to:
             seen += begins[i] - hidden_to
         hidden_to = max(hidden_to, ends[i])
