@@ -84,7 +84,7 @@ def test_the_tip_tends_to_the_heavy_elastica_s_in_second_order() -> None:
 
 
 def polygon(elements: int, turn: float, chord: float) -> Array:
-    """(elements + 1, 3) nodes of equal chords up to the clamp, of elements that turn equally, together by turn."""
+    """(elements + 1, 3) nodes up to the clamp: equal chords, of elements that all turn equally."""
     theta = -turn * np.linspace(1, 0, elements + 1)
     middle = (theta[1:] + theta[:-1]) / 2
     back = np.cumsum(chord * np.stack([np.cos(middle), np.sin(middle)], axis=1)[::-1], axis=0)[::-1]
@@ -94,7 +94,7 @@ def polygon(elements: int, turn: float, chord: float) -> Array:
 
 @pytest.mark.parametrize("elements", [3, 7, 16, 40])
 def test_an_end_moment_rolls_the_chain_up_into_a_regular_polygon(elements: int) -> None:
-    """Strains and angles are exact, whatever the number of elements, up to two circles; chords are as long as arcs.
+    """Strains and angles are exact, whatever the number of elements; chords are as long as arcs should be.
 
     So a whole circle closes exactly, if there are elements enough for one.
     """
@@ -103,7 +103,9 @@ def test_an_end_moment_rolls_the_chain_up_into_a_regular_polygon(elements: int) 
     there = settled(straight(elements, load=(0.0, 0.0, -turns * D / LENGTH)))
     for lane, turn in enumerate(turns):
         expected = polygon(elements, turn, LENGTH / elements)
-        assert there.nodes[:, :, lane] == pytest.approx(expected, abs=1e-6)  # the residual's tolerance, / stiffness
+        assert there.nodes[:, :, lane] == pytest.approx(
+            expected, abs=1e-6
+        )  # the residual's tolerance, / stiffness
     assert tips(there)[:2, -1] + [-LENGTH, 0] == pytest.approx([0, 0], abs=1e-6)  # a whole number of circles
 
 

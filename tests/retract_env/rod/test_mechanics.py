@@ -84,8 +84,14 @@ PUSHED = {
     [
         pytest.param(element_energy, element_gradient, ELEMENT, id="element's energy"),
         pytest.param(element_gradient, element_hessian, ELEMENT, id="element's gradient"),
-        *(pytest.param(pushed_energy, pushed_gradient, u, id=f"energy, {name}") for name, u in PUSHED.items()),
-        *(pytest.param(pushed_gradient, pushed_hessian, u, id=f"gradient, {name}") for name, u in PUSHED.items()),
+        *(
+            pytest.param(pushed_energy, pushed_gradient, u, id=f"energy, {name}")
+            for name, u in PUSHED.items()
+        ),
+        *(
+            pytest.param(pushed_gradient, pushed_hessian, u, id=f"gradient, {name}")
+            for name, u in PUSHED.items()
+        ),
     ],
 )
 def test_derivatives_are_those_that_differences_tend_to(function: Any, derivative: Any, at: Array) -> None:
