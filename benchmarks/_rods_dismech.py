@@ -21,7 +21,7 @@ def solver() -> Any:
     Annotations in its release 0.1.0.post4 have `Slots | None`, Slots a struct of Warp's, for which Warp knows
     no `|`. Python evaluates them before 3.14.
     """
-    warp.config.quiet = True
+    warp.config.log_level = warp.LOG_WARNING
     struct: Any = type(warp.struct(type("Empty", (), {})))
     if "__or__" not in vars(struct):
         struct.__or__ = lambda one, _: one
