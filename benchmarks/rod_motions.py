@@ -4,7 +4,8 @@ Random flaps are retracted on four kinds of paths: ctc and circular ones from ra
 little firmer than its planner begins with, and random actions of the environment. Each equilibrium is kept:
 where the jaws are, what they feel, strain, clearance. Three sets share no flap: `fit` is for the grip law,
 `calibration` for the quantiles that the package carries, `test` for what is published. `wide` has flaps of
-other sizes, depths and moduli; its odd seeds are for the grip law, the even ones for tests.
+other sizes, depths and moduli for another test. `squeezes` are squeezes alone, of such flaps with any Poisson's
+ratio between jaws of any width, for the grip law.
 
 A line of out/rod/SET-RESOLUTION.jsonl is one motion. What is there already is not computed again.
 """
@@ -40,7 +41,7 @@ from retract_env.task import actions
 Array = NDArray[np.float64]
 
 FOLDER = Path("out/rod")
-SETS = {"fit": (20_000, 100), "calibration": (30_000, 150), "test": (40_000, 200), "wide": (50_000, 60)}
+SETS = {"fit": (20_000, 100), "calibration": (30_000, 150), "test": (40_000, 200), "wide": (50_000, 60), "squeezes": (60_000, 300)}
 """First seed and number of flaps."""
 WIDE = SceneRanges(
     length=(0.03, 0.08),
@@ -50,6 +51,8 @@ WIDE = SceneRanges(
     veins=(0, 12),
 )
 KINDS = ("ctc", "circular", "eased", "random")
+POISSON, JAW_WIDTHS = (0.3, 0.49), (5e-4, 3e-3)
+"""of squeezes; m"""
 INCREMENTS = 12
 """of a path, up to its goal"""
 SQUEEZES = (0.25, 0.5, 1.0)
@@ -59,13 +62,30 @@ RANDOM_STEPS = 12
 
 def scene_of(name: str, seed: int) -> Scene:
     """The flap of that seed."""
-    return sample_scene(np.random.default_rng(seed), WIDE if name == "wide" else None)
+    rng = np.random.default_rng(seed)
+    if name not in ("wide", "squeezes"):
+        return sample_scene(rng)
+    scene = sample_scene(rng, WIDE)
+    if name == "wide":
+        return scene
+    data = scene.dump()
+    data["tissue"]["poisson"] = rng.uniform(*POISSON)
+    data["jaws"]["width"] = rng.uniform(*JAW_WIDTHS)
+    return Scene.from_data(data)
+
+
+def kinds_of(name: str) -> Sequence[str]:
+    """Kinds of motions in a set."""
+    return ("squeeze",) if name == "squeezes" else KINDS
 
 
 def motion(scene: Scene, kind: str, rng: np.random.Generator) -> tuple[Grasp, Iterator[Array]]:
     """A grasp, and poses (4,) of the jaws after the squeeze, without end for random actions."""
     tissue, line = scene.tissue, scene.line_of_sight
     low, high = jaw_range(tissue.length, scene.jaws.width)
+    if kind == "squeeze":
+        x = min(rng.uniform(low, high), high)
+        return Grasp(float(x), float(tissue.height * 0.03 * 13 ** rng.uniform())), iter(())
     if kind == "random":
         grasp = actions.to_grasp(rng.uniform(-1, 1, 3), scene)
         return grasp, _wander(scene, grasp, rng)
@@ -98,7 +118,7 @@ def _wander(scene: Scene, grasp: Grasp, rng: np.random.Generator) -> Iterator[Ar
 def follow(name: str, seed: int, kind: str, physics_name: str, resolution: str) -> dict[str, Any]:
     """One motion as plain data, up to the first state that settles what becomes of it."""
     scene = scene_of(name, seed)
-    rng = np.random.default_rng([seed, KINDS.index(kind)])
+    rng = np.random.default_rng([seed, (*KINDS, "squeeze").index(kind)])
     grasp, poses = motion(scene, kind, rng)
     found: dict[str, Any] = {"seed": seed, "kind": kind, "x": grasp.x, "compression": grasp.compression}
     states: list[list[float]] = []
@@ -178,7 +198,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         (name, seed, kind)
         for name in options.sets
         for seed in range(SETS[name][0], SETS[name][0] + min(SETS[name][1], options.flaps or 10**9))
-        for kind in KINDS
+        for kind in kinds_of(name)
     ]
     there = {(n, m["seed"], m["kind"]) for n in options.sets for m in stored(n, label)}
     work = [item for item in work if item not in there]

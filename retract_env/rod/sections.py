@@ -8,9 +8,11 @@ up to 1 / (1 - nu^2). Veins count by their chords: the section's fibres stretch 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from retract_env.scene import Tissue
@@ -46,8 +48,9 @@ class Elements:
 def elements(tissue: Tissue, left: float, right: float, count: int) -> Elements:
     """`count` elements between x = left and x = right, m. Compliances are means over slices."""
     length = (right - left) / count
-    places = left + length * (np.arange(count * SLICES) + 0.5) / SLICES
-    area, first, second = _moments(tissue, places) * tissue.depth
+    out = np.empty((3, count * SLICES))
+    moments(left + length / SLICES / 2, length / SLICES, tissue.height / 2, tissue.modulus, *outlines(tissue), out)
+    area, first, second = out * tissue.depth
     determinant = area * second - first**2
     stretch, couple, bend = second / determinant, first / determinant, area / determinant
     half = tissue.height / 2
@@ -65,16 +68,43 @@ def elements(tissue: Tissue, left: float, right: float, count: int) -> Elements:
     return Elements(length, mean(stretch), mean(couple), mean(bend), mean(shear), bottom, top)
 
 
-def _moments(tissue: Tissue, x: Array) -> Array:
-    """(3, n) integrals of E, E y and E y^2 over the height at x (n,), y from the axis; N/m, N, N m."""
-    half = tissue.height / 2
-    total = np.outer([2 * half, 0.0, 2 * half**3 / 3], np.full(x.shape, tissue.modulus))
-    for vein in tissue.veins:
-        outline = np.array(vein.outline)
-        for (x0, y0), (x1, y1) in zip(outline, np.roll(outline, -1, axis=0), strict=True):
-            cut = np.flatnonzero((x0 <= x) != (x1 <= x))
-            y = y0 + (x[cut] - x0) / (x1 - x0) * (y1 - y0) - half
+@njit(cache=True, nogil=True, error_model="numpy")
+def moments(first, step, half, modulus, vertices, offsets, moduli, out):
+    """Integrals of E, E y and E y^2 over the height, y from the axis, into out (3, n): N/m, N, N m.
+
+    At x = first + step i, m; half: of the height, m; modulus: of the tissue, Pa; vertices (v, 2) m, offsets (k + 1,)
+    into them and moduli (k,) Pa: of the veins, counter-clockwise. Any units that agree will do.
+    """
+    count = out.shape[1]
+    for i in range(count):
+        out[0, i] = 2 * half * modulus
+        out[1, i] = 0.0
+        out[2, i] = 2 * half**3 / 3 * modulus
+    for vein in range(len(moduli)):
+        more = moduli[vein] - modulus
+        begin, end = offsets[vein], offsets[vein + 1]
+        for a in range(begin, end):
+            b = a + 1 if a + 1 < end else begin
+            x0, y0, x1, y1 = vertices[a, 0], vertices[a, 1], vertices[b, 0], vertices[b, 1]
+            if x0 == x1:
+                continue
             # counter-clockwise, an edge that goes left closes a chord from above
-            sign = np.sign(x0 - x1) * (vein.modulus - tissue.modulus)
-            total[:, cut] += sign * np.stack([y, y**2 / 2, y**3 / 3])
-    return total
+            sign = more if x0 > x1 else -more
+            low, high = min(x0, x1), max(x0, x1)
+            i = max(0, int(math.ceil((low - first) / step)) - 1)
+            while i < count and first + step * i < low:
+                i += 1
+            while i < count and first + step * i < high:
+                y = y0 + (first + step * i - x0) / (x1 - x0) * (y1 - y0) - half
+                out[0, i] += sign * y
+                out[1, i] += sign * y**2 / 2
+                out[2, i] += sign * y**3 / 3
+                i += 1
+
+
+def outlines(tissue: Tissue) -> tuple[Array, NDArray[np.int64], Array]:
+    """The veins as flat arrays: vertices (v, 2) m, offsets (k + 1,) into them, moduli (k,) Pa."""
+    rings = [np.asarray(vein.outline, float) for vein in tissue.veins]
+    offsets = np.cumsum([0, *map(len, rings)]).astype(np.int64)
+    vertices = np.concatenate(rings) if rings else np.empty((0, 2))
+    return vertices, offsets, np.array([vein.modulus for vein in tissue.veins], float)

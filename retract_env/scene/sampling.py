@@ -10,7 +10,7 @@ from pydantic import BeforeValidator
 from retract_env.config import Frozen, brief, refusal
 from retract_env.errors import ConfigError, SceneError
 from retract_env.scene import LineOfSight, Scene, Tissue, Vein
-from retract_env.scene.veins import MIN_GAP, Outline
+from retract_env.scene.veins import MOST_VEINS
 
 if TYPE_CHECKING:
     import numpy as np
@@ -30,8 +30,13 @@ def _counts(value: Any) -> Any:
     low, high = _ends(value)
     if low != int(low) or high != int(high):
         raise refusal(f" = {brief(value)}, not whole numbers")
+    if high > MOST_VEINS:
+        raise refusal(f" = {brief(value)}, allowed up to {MOST_VEINS}")
     return int(low), int(high)
 
+
+DENSITY, POISSON = 1000.0, 0.45
+"""kg/m^3, of the tissue; of the tissue and of the veins: the same in all random scenes"""
 
 Ends = Annotated[tuple[float, float], BeforeValidator(_ends)]
 
@@ -42,7 +47,7 @@ class SceneRanges(Frozen):
     error_type: ClassVar[type[ConfigError]] = SceneError
 
     veins: Annotated[tuple[int, int], BeforeValidator(_counts)] = (0, 20)
-    """How many; both ends occur."""
+    """How many, 500 at most; both ends occur."""
     vein_modulus: Ends = (8e4, 4e5)
     """Pa, log-uniform, for each vein."""
     vein_width: Ends = (0.25, 0.6)
@@ -66,73 +71,31 @@ class SceneRanges(Frozen):
 def sample_scene(rng: np.random.Generator, ranges: SceneRanges | None = None) -> Scene:
     """Random flap with irregular oval veins; the same rng state gives the same scene.
 
-    Raises SceneError if the ranges lead to values that no scene may have, or to veins without room.
+    NumPy's default generators, PCG64, are drawn from; another one seeds a PCG64, which is drawn from. Raises
+    SceneError if the ranges lead to values that no scene may have, or to veins without room.
     """
+    from retract_env.scene import flaps, pcg64  # compiled: the ranges alone are imported without numba
+
     ranges = ranges or SceneRanges()
-
-    def uniform(ends: tuple[float, float]) -> float:
-        return float(rng.uniform(*ends))
-
-    def log_uniform(ends: tuple[float, float]) -> float:
-        return float(ends[0] * (ends[1] / ends[0]) ** rng.uniform())
-
-    length, height, depth = uniform(ranges.length), uniform(ranges.height), uniform(ranges.depth)
-    modulus = log_uniform(ranges.tissue_modulus)
-    line = LineOfSight.at(-length * uniform(ranges.target), uniform(ranges.slope))
-    count = int(rng.integers(ranges.veins[0], ranges.veins[1], endpoint=True))
-    veins = [
-        Vein(outline=outline, modulus=log_uniform(ranges.vein_modulus))
-        for outline in _scatter(rng, count, length, height, ranges)
-    ]
+    state, (scalars, vertices, offsets, moduli) = pcg64.state_of(rng), flaps.room(ranges.veins[1])
+    count, placed = flaps.draw_flap(state, flaps.table(ranges), scalars, vertices, offsets, moduli)
+    pcg64.give_back(rng, state)
+    flap = dict(zip(flaps.SCALARS, scalars.tolist(), strict=True))
+    line = LineOfSight.at(flap["target_x"], flap["slope"])
+    if placed < count:
+        size = f"{flap['length']:g} x {flap['height']:g} m"
+        raise SceneError(f"no room for vein {placed + 1} of {count} in a flap of {size}")
+    points, ends = [(x, y) for x, y in vertices.tolist()], offsets.tolist()
     tissue = Tissue(
-        length=length,
-        height=height,
-        depth=depth,
-        density=1000.0,
-        modulus=modulus,
-        poisson=0.45,
-        veins=tuple(veins),
+        length=flap["length"],
+        height=flap["height"],
+        depth=flap["depth"],
+        density=DENSITY,
+        modulus=flap["modulus"],
+        poisson=POISSON,
+        veins=tuple(
+            Vein(outline=tuple(points[ends[v] : ends[v + 1]]), modulus=modulus, poisson=POISSON)
+            for v, modulus in enumerate(moduli[:count].tolist())
+        ),
     )
     return Scene(name="sampled", tissue=tissue, line_of_sight=line)
-
-
-def _scatter(
-    rng: np.random.Generator, count: int, length: float, height: float, ranges: SceneRanges
-) -> list[Outline]:
-    """Ovals at random places, twice the least gap apart from each other and from the flap's outline."""
-    import shapely
-
-    gap, tries = 2 * MIN_GAP, 300
-    placed: list[Outline] = []
-    polygons: list[shapely.Polygon] = []
-    for _ in range(count):
-        for attempt in range(tries):
-            shrink = 0.85 ** (attempt // 20)
-            a, b = (shrink * height * rng.uniform(*of) / 2 for of in (ranges.vein_width, ranges.vein_height))
-            oval = _oval(rng, a, b)
-            (left, right), (low, high) = ((min(v) - gap, max(v) + gap) for v in zip(*oval, strict=True))
-            if right - left > length or high - low > height:
-                continue
-            x, y = rng.uniform(-length - left, -right), rng.uniform(-low, height - high)
-            outline = tuple((round(px + x, 6), round(py + y, 6)) for px, py in oval)
-            polygon = shapely.polygons(outline)
-            if not shapely.dwithin(polygon, polygons, gap).any():
-                placed.append(outline)
-                polygons.append(polygon)
-                break
-        else:
-            flap = f"a flap of {length:g} x {height:g} m"
-            raise SceneError(f"no room for vein {len(placed) + 1} of {count} in {flap}")
-    return sorted(placed, key=min)  # numbered from the free end
-
-
-def _oval(rng: np.random.Generator, a: float, b: float) -> Outline:
-    """8 to 10 vertices around the origin, semi-axes about a and b m, dented and tilted a little."""
-    corners = int(rng.integers(8, 10, endpoint=True))
-    angles = (rng.uniform(-0.25, 0.25, corners) + range(corners)) * (math.tau / corners)
-    radii = rng.uniform(0.85, 1.0, corners)
-    tilt = rng.uniform(-0.35, 0.35)
-    c, s = math.cos(tilt), math.sin(tilt)
-    polar = zip(angles.tolist(), radii.tolist(), strict=True)
-    ring = [(a * r * math.cos(t), b * r * math.sin(t)) for t, r in polar]
-    return tuple((c * x - s * y, s * x + c * y) for x, y in ring)

@@ -20,7 +20,7 @@ from retract_env.config import Frozen, Listed, Range, one_of, refusal
 from retract_env.grasp import to_pose
 from retract_env.mesh import SectionMesh
 from retract_env.scene import Scene
-from retract_env.spring.stiffness import Stiffness
+from retract_env.spring import columns
 from retract_env.task.config import TaskConfig
 from retract_env.task.situation import Situation
 
@@ -112,7 +112,7 @@ class Observer:
         tissue, line = scene.tissue, scene.line_of_sight
         self._stations = -tissue.length * (1 - np.arange(KEYPOINTS) / KEYPOINTS)
         at = -tissue.length * (1 - (np.arange(STIFFNESS_SAMPLES) + 0.5) / STIFFNESS_SAMPLES)
-        self._k_eq = Stiffness(tissue).k_eq(at) * tissue.height / tissue.modulus
+        self._k_eq = columns.k_eq(tissue, at) * tissue.height / tissue.modulus
         distance = np.hypot(*np.subtract(line.camera, line.target))
         self._sight = {
             "target": line.target[0] / tissue.length,

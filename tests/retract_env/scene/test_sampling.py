@@ -65,6 +65,7 @@ def test_ranges_that_cannot_be_met_are_refused() -> None:
     rng = np.random.default_rng(0)
     crowd = SceneRanges(veins=(60, 60), length=(0.005, 0.005))
     assert "no room for vein" in complaint(lambda: sample_scene(rng, crowd))
+    assert "veins = (0, 501), allowed up to 500" in complaint(lambda: SceneRanges(veins=(0, 501)))
     assert "slope = (2, 1), allowed [least, greatest]" in complaint(lambda: SceneRanges(slope=(2, 1)))
     assert "height = " in complaint(
         lambda: sample_scene(rng, SceneRanges(height=(1.0, 1.0), length=(0.5, 0.5)))
