@@ -63,7 +63,7 @@ def installed(name: str, module: str, code: str) -> Make | None:
     try:
         make: Make = getattr(import_module(module), code)
     except ImportError as missing:
-        print(f"{name} is not installed ({missing.name}): see the top of benchmarks/against_pyelastica.py")
+        print(f"{name} is not installed, {missing.name} is missing: pip install {name.lower()}")
         return None
     return make
 
