@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from retract_env.rod import chain
+from retract_env.rod import chain, equilibrium
 from retract_env.rod.chain import LANES
 
 Array = NDArray[np.float64]
@@ -171,7 +171,7 @@ def with_retract(motion: Motion, bed: float = BED, shear: float = SHEAR) -> tupl
         nodes[0] = after[lanes].T
         U = nodes.ravel()
         start = time.perf_counter()
-        chain.equilibrate(parameters, U, W, Z, elements, True, todo, done)
+        equilibrium.equilibrate(parameters, U, W, Z, elements, True, todo, done)
         seconds += time.perf_counter() - start
         if not done[: motion.flaps].all():
             raise ValueError("no equilibrium found")

@@ -115,7 +115,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if terminated or truncated:
             observation, _ = env.reset()
             ends += 1
-    rows.append(("one flap, resets not counted", f"{count / seconds:,.0f}", f"{count / max(ends, 1):.1f}", ""))
+    rows.append(
+        ("one flap, resets not counted", f"{count / seconds:,.0f}", f"{count / max(ends, 1):.1f}", "")
+    )
     print(table(("", "steps/s", "steps an episode", "successes, %"), rows))
 
 

@@ -6,9 +6,7 @@ arguments, spaces, seeds, threads, what infos look like.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,35 +23,33 @@ from retract_env.env import Settings, read_grasp, read_scene
 from retract_env.errors import Diverged, SceneError
 from retract_env.grasp import Grasp
 from retract_env.physics.registry import physics_kind
-from retract_env.physics.rod import flap_numbers, laws, sight_numbers
-from retract_env.rod.block import STATE, Block, new_block
-from retract_env.rod.chain import LANES
-from retract_env.scene import Scene, sample_scene
-from retract_env.scene import flaps as drawn
-from retract_env.scene.pcg64 import WORDS, give_back, state_of
-from retract_env.scene.sampling import POISSON, SceneRanges
-from retract_env.spring.columns import veins_of
-from retract_env.task import SLICES, Sensors, TaskConfig, actions
-from retract_env.task.episode import spring_grasps
-from retract_env.task.batch import act_range, advance_range, begin_range, look_range, settle_range, show_range
-from retract_env.task.lanes import (
+from retract_env.scene import Scene
+from retract_env.scene.pcg64 import state_of
+from retract_env.scene.sampling import SceneRanges
+from retract_env.task import Sensors, TaskConfig, actions
+from retract_env.task.arrays import (
     COST,
     COST_FRICTION,
     COST_STRAIN,
     EXPOSURE,
     FAILURE,
-    INFO,
     MOST_FRICTION,
     MOST_STRAIN,
     REWARD_TERMS,
     SUCCESS,
     TO_LINE,
-    Lanes,
-    Rules,
-    Told,
 )
-from retract_env.task.observation import SIZE, bounds
-from retract_env.task.rules import FAILURES, STIFFNESS_SAMPLES, TERMS
+from retract_env.task.batch import (
+    act_range,
+    advance_range,
+    begin_range,
+    settle_range,
+    show_range,
+)
+from retract_env.task.episode import spring_grasps
+from retract_env.task.flaps import Flaps, Workers, cores
+from retract_env.task.observation import bounds
+from retract_env.task.rules import FAILURES, TERMS
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -145,7 +141,7 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
         self._special = np.ones(self.num_envs, np.bool_)
         """whose next episode has to be prepared: at first, and where the one under way was an exception"""
         self._begun = np.zeros(self.num_envs, np.bool_)
-        self._workers = Workers(threads or _cores())
+        self._workers = Workers(threads or cores())
 
     # --- Episodes
 
@@ -175,9 +171,7 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
         self._begun |= mask
         return self._flaps.told.observation.copy(), infos_of(self._flaps.told.info, mask)
 
-    def step(
-        self, actions: ArrayLike
-    ) -> tuple[NDArray[np.float32], Array, Flags, Flags, dict[str, Any]]:
+    def step(self, actions: ArrayLike) -> tuple[NDArray[np.float32], Array, Flags, Flags, dict[str, Any]]:
         """One step of all. Raises ValueError for what are no actions, ResetNeeded before the first reset, and for
         environments that are over where nothing begins anew by itself."""
         chosen = self._checked(actions)
@@ -273,7 +267,9 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
             return np.ones(self.num_envs, np.bool_)
         mask = np.asarray(mask)
         if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
-            raise ValueError(f"options['reset_mask'] allowed ({self.num_envs},) bool, at least one of them True")
+            raise ValueError(
+                f"options['reset_mask'] allowed ({self.num_envs},) bool, at least one of them True"
+            )
         return mask
 
     def _each_seed(self, seed: int | Sequence[int | None] | None) -> NDArray[Any]:
@@ -354,178 +350,6 @@ class VectorState:
         return VectorState(self.task, arrays, (self.sources[k],) * n, (self.seeds[k],) * n, special)
 
 
-class Flaps:
-    """The arrays of n flaps and their episodes, and what goes into them."""
-
-    def __init__(self, n: int, task: TaskConfig, ranges: SceneRanges, sensors: Sensors):
-        blocks = -(-n // LANES)
-        one = new_block()
-        self.blocks = Block(*(np.repeat(array[None], blocks, axis=0) for array in one))
-        weights = task.weights.model_dump()
-        low, high = bounds(task)
-        hidden = np.zeros(SIZE, np.bool_)
-        for name in sensors.hide:
-            hidden[SLICES[name]] = True
-        noise = sensors.deviation if sensors.noise else np.empty(0)
-        self.rules = Rules(
-            np.array([weights[name] for name in TERMS]),
-            np.array(task.move),
-            np.array(task.compression),
-            task.steps,
-            task.cap,
-            task.limits == "end",
-            low,
-            high,
-            noise,
-            hidden,
-            drawn.table(ranges),
-            POISSON,
-            *laws(),
-        )
-        _, vertices, offsets, moduli = drawn.room(max(ranges.veins[1], 1))
-
-        def rows(*shape: int) -> Array:
-            return np.zeros((n, *shape))
-
-        def flags() -> Flags:
-            return np.zeros(n, np.bool_)
-
-        self.lanes = Lanes(
-            rng=np.zeros((n, WORDS), np.uint64),
-            random=flags(),
-            scalars=rows(len(drawn.SCALARS)),
-            vertices=rows(*vertices.shape),
-            offsets=np.zeros((n, len(offsets)), np.int64),
-            moduli=rows(len(moduli)),
-            given=np.full((n, 2), np.nan),
-            limits=rows(3),
-            k_eq=rows(STIFFNESS_SAMPLES),
-            sight=rows(3),
-            outset=rows(),
-            holding=flags(),
-            steps=np.zeros(n, np.int64),
-            pose=rows(4),
-            jaws=rows(4),
-            grasp=rows(2),
-            strain=rows(),
-            friction=rows(2),
-            clearance=rows(),
-            exposure=rows(),
-            most_strain=rows(),
-            most_friction=rows(),
-            overlapped=flags(),
-            broken=np.zeros(n, np.int64),
-            in_view=flags(),
-            over=flags(),
-            terms=rows(len(TERMS)),
-        )
-        observation = np.zeros((n, SIZE), np.float32)
-        self.told = Told(
-            observation, rows(), flags(), flags(), rows(INFO), observation.copy(), rows(INFO), flags(), flags()
-        )
-        # what all random flaps have alike; sampling one also refuses ranges that no scene may have
-        self._alike = sample_scene(np.random.default_rng(0), ranges)
-
-    def put(self, k: int, scene: Scene) -> None:
-        """Give environment k this scene."""
-        vertices, offsets, moduli = veins_of(scene.tissue)
-        self._make_room(len(vertices), len(moduli))
-        lanes = self.lanes
-        lanes.random[k] = False
-        lanes.vertices[k, : len(vertices)] = vertices
-        lanes.offsets[k, : len(offsets)], lanes.offsets[k, len(offsets) :] = offsets, offsets[-1]
-        lanes.moduli[k, : len(moduli)], lanes.moduli[k, len(moduli) :] = moduli, 0.0
-        self._alike_in(k, scene)
-        block = k // LANES
-        look_range(self.blocks, self.lanes, self.rules, self.told, block, block + 1)
-
-    def put_random(self, k: int) -> None:
-        """Have environment k draw a flap when its next episode begins."""
-        self.lanes.random[k] = True
-        self._alike_in(k, self._alike)
-
-    def sample(self, k: int, ranges: SceneRanges) -> Scene:
-        """The scene that environment k would draw next; its generator goes on."""
-        generator = np.random.Generator(np.random.PCG64())
-        give_back(generator, self.lanes.rng[k])
-        scene = sample_scene(generator, ranges)
-        self.lanes.rng[k] = state_of(generator)
-        return scene
-
-    def _alike_in(self, k: int, scene: Scene) -> None:
-        block, lane = divmod(k, LANES)
-        self.blocks.flap[block, lane], self.blocks.sight[block, lane] = flap_numbers(scene), sight_numbers(scene)
-        limits = scene.limits
-        self.lanes.limits[k] = limits.strain, limits.friction, limits.clearance
-
-    def _make_room(self, vertices: int, veins: int) -> None:
-        lanes = self.lanes
-        more = max(0, vertices - lanes.vertices.shape[1]), max(0, veins - lanes.moduli.shape[1])
-        if any(more):
-            offsets = np.pad(lanes.offsets, ((0, 0), (0, more[1])), mode="edge")
-            moduli = np.pad(lanes.moduli, ((0, 0), (0, more[1])))
-            grown = np.pad(lanes.vertices, ((0, 0), (0, more[0]), (0, 0)))
-            self.lanes = lanes._replace(vertices=grown, offsets=offsets, moduli=moduli)
-
-    def state(self) -> dict[str, NDArray[Any]]:
-        """Copies of all that n environments go on from, n rows each."""
-        n = len(self.lanes.steps)
-        kept = {name: array.copy() for name, array in self.lanes._asdict().items()}
-        for name in STATE:
-            array = getattr(self.blocks, name)
-            if array.ndim == 2:
-                array = array.reshape(len(array), -1, LANES).transpose(0, 2, 1)
-            kept[f"block.{name}"] = array.reshape(-1, array.shape[-1])[:n].copy()
-        return kept
-
-    def set_state(self, kept: Mapping[str, NDArray[Any]]) -> None:
-        """Go on from there."""
-        n = len(self.lanes.steps)
-        self.lanes = Lanes(**{name: kept[name].copy() for name in Lanes._fields})
-        for name in STATE:
-            array = getattr(self.blocks, name)
-            rows = array.shape[-1] if array.ndim == 3 else array.shape[-1] // LANES
-            padded = np.zeros((len(array) * LANES, rows))
-            padded[:n] = kept[f"block.{name}"]
-            by_lane = padded.reshape(len(array), LANES, rows)
-            array[...] = by_lane if array.ndim == 3 else by_lane.transpose(0, 2, 1).reshape(len(array), -1)
-
-
-class Workers:
-    """Threads that share the blocks of `Flaps` among them."""
-
-    def __init__(self, threads: int):
-        self.threads = threads
-        self._pool: ThreadPoolExecutor | None = None
-        self._process = os.getpid()
-
-    def run(self, kernel: Any, flaps: Flaps, *arguments: Any) -> None:
-        """Have a kernel of `retract_env.task.batch` do all blocks."""
-        count = len(flaps.blocks.flap)
-        threads = min(self.threads, count)
-        ends = [count * k // threads for k in range(threads + 1)]
-        ranges = list(zip(ends[:-1], ends[1:], strict=True))
-        common = flaps.blocks, flaps.lanes, flaps.rules, flaps.told
-        if threads == 1:
-            kernel(*common, 0, count, *arguments)
-            return
-        if self._pool is None or self._process != os.getpid():  # a forked process has no threads
-            self._pool, self._process = ThreadPoolExecutor(self.threads - 1), os.getpid()
-        waiting = [self._pool.submit(kernel, *common, *ends, *arguments) for ends in ranges[1:]]
-        kernel(*common, *ranges[0], *arguments)
-        for one in waiting:
-            one.result()
-
-    def close(self) -> None:
-        """End the threads."""
-        if self._pool is not None:
-            self._pool.shutdown()
-            self._pool = None
-
-    def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"_pool": None}
-
-
 def infos_of(rows: Array, mask: Flags) -> dict[str, Any]:
     """Infos as `gymnasium.vector` has them, from rows (n, INFO); mask: (n,) which environments have any."""
 
@@ -556,7 +380,3 @@ def _masked(values: Mapping[str, Any], mask: Flags) -> dict[str, Any]:
     for name, value in values.items():
         out[name], out[f"_{name}"] = value, mask.copy()
     return out
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -31,7 +31,7 @@ LONGEST_FILE = 400
 FLOORS = {
     "retract_env": (
         "errors", "threads", "config", "objectives", "grasp", "scene", "mesh", "spring", "fem", "rod",
-        "physics", "task", "rollout", "drawing", "env",
+        "physics", "task", "rollout", "drawing", "env", "vector",
     ),
     "planners": (
         "certify", "paths", "base", "effort", "proposals", "search", "deform_closure", "light_grip", "eased",

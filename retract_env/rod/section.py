@@ -33,7 +33,9 @@ def columns_of(length: float, height: float, jaw_x: float) -> Array:
     return np.concatenate([free, inner])
 
 
-def section_of(block: Block, lane: int, columns: Array, jaw_x: float) -> tuple[Array, Array, Array, Array, Array]:
+def section_of(
+    block: Block, lane: int, columns: Array, jaw_x: float
+) -> tuple[Array, Array, Array, Array, Array]:
     """What one lane's section looks like.
 
     Returns points (ROWS COLUMNS, 2) m; mean strain of each triangle (TRIANGLES,); jaws (4,) m; reactions (2, 2) N,

@@ -14,7 +14,8 @@ from retract_env.rod.block import Block, advance
 from retract_env.rod.chain import LANES, SCRATCH
 from retract_env.rod.flap import FACTORS, FREE, INNER
 from retract_env.task import lanes as episodes
-from retract_env.task.lanes import begin, hold_on, look, observe_now, settle, take, tell
+from retract_env.task.lanes import begin, hold_on, look, settle, take
+from retract_env.task.shown import observe_now, tell
 
 NEXT_STEP, SAME_STEP, DISABLED = range(3)
 """When an episode that is over is followed by a new one, as Gymnasium has it."""

@@ -21,8 +21,8 @@ from retract_env.physics.base import TissueState
 from retract_env.scene import LineOfSight, Scene, Tissue
 from retract_env.task.config import TaskConfig
 from retract_env.task.observation import Observer
-from retract_env.task.rules import exposed_past
 from retract_env.task.rest import rest_section, rest_state
+from retract_env.task.rules import exposed_past
 from retract_env.task.situation import Situation
 
 

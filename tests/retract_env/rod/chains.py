@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from retract_env.rod import chain
+from retract_env.rod import chain, equilibrium
 from retract_env.rod.chain import LANES
 
 Array = NDArray[np.float64]
@@ -130,7 +130,7 @@ def solved(chains: Chains, todo: ArrayLike = True) -> tuple[Chains, NDArray[np.b
     Z = np.zeros(chain.factor_rows(chains.elements) * LANES)
     done = np.zeros(LANES, bool)
     wanted = np.broadcast_to(np.asarray(todo), (LANES,)).copy()
-    chain.equilibrate(chains.P.ravel(), U, W, Z, chains.elements, chains.clamped, wanted, done)
+    equilibrium.equilibrate(chains.P.ravel(), U, W, Z, chains.elements, chains.clamped, wanted, done)
     return chains.moved(U.reshape(-1, LANES)), done, Swept(W.reshape(-1, LANES), Z.reshape(-1, LANES))
 
 

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from typing_extensions import Unpack
 
 from retract_env.rod import chain
-from retract_env.rod.chain import LANES, TOLERANCE
+from retract_env.rod.chain import LANES
+from retract_env.rod.equilibrium import TOLERANCE
 from tests.retract_env.rod.chains import (
     LENGTH,
     PLAIN,
