@@ -179,26 +179,20 @@ class _Watch(BaseCallback):
         super().__init__()
         self._tell, self._learner = on_step, learner
         self._critic_first: int = getattr(learner, "critic_first", 0)
-        self._terms: dict[int, dict[str, float]] = {}
-        """reward terms of the episodes under way, summed, by environment"""
 
     def _on_rollout_start(self) -> None:
         self._learner.let_actor_learn(self.model, self.num_timesteps >= self._critic_first)
 
     def _on_step(self) -> bool:
-        for place, (info, done) in enumerate(zip(self.locals["infos"], self.locals["dones"], strict=True)):
-            terms = self._terms.setdefault(place, {})
-            for name, value in info["reward_terms"].items():
-                terms[name] = terms.get(name, 0.0) + value
-            if done:
-                self._log(info, self._terms.pop(place))
+        for place in np.flatnonzero(self.locals["dones"]):
+            self._log(self.locals["infos"][place])
         self._tell(self.num_timesteps)
         return True
 
-    def _log(self, info: Mapping[str, Any], terms: Mapping[str, float]) -> None:
+    def _log(self, info: Mapping[str, Any]) -> None:
         """Means over the episodes since the last line of the log."""
         failure = "" if info["is_success"] else info["failure"] or "not_visible"
         for reason in FAILURES:
             self.logger.record_mean(f"failures/{reason}", float(failure == reason))
-        for name, value in terms.items():
+        for name, value in info["episode_terms"].items():
             self.logger.record_mean(f"rewards/{name}", value)

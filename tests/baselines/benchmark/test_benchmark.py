@@ -42,6 +42,7 @@ def coarse(method: Method, scene: dict[str, Any], **changes: Any) -> dict[str, A
         "number": 0,
         "scene": scene,
         "resolution": "coarse",
+        "policy_physics": "fem",
         "policy_resolution": "coarse",
         "lead_out": 3,
         "seed": 0,

@@ -16,6 +16,7 @@ pytest.importorskip("h5py")
 from baselines.benchmark.splits import load_benchmark
 from baselines.jobs.journal import Row, run_tasks
 from baselines.learning import demos
+from retract_env.physics.registry import PHYSICS
 from retract_env.rollout import gripper_pose
 from retract_env.scene import sample_scene
 from retract_env.task import SLICES
@@ -31,7 +32,9 @@ def _datasets(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.Monk
 
 @pytest.fixture(scope="module")
 def tasks() -> list[dict[str, Any]]:
-    return [{"planner": "eased", "resolution": "coarse", "seed": seed} for seed in (1, 2)]
+    return [
+        {"planner": "eased", "resolution": "coarse", "physics": "fem", "seed": seed} for seed in (1, 2)
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +65,7 @@ def test_the_dataset_keeps_seeds_certificates_and_command(dataset: Any, rows: li
     metadata = dataset.storage.metadata
     assert metadata["command"] == "retract demos" and metadata["certificates"] == "coarse"
     assert metadata["algorithm_name"] == "eased" and metadata["failed_seeds"] == {}
-    assert dataset.env_spec.id == demos.ENV
+    assert dataset.env_spec.id == PHYSICS["fem"].env_id
     kept = list(dataset.storage.get_episode_metadata(range(2)))
     for row, about in zip(rows, kept, strict=True):
         assert about["scene_seed"].tolist() == [demos.SEED, row["seed"]]
