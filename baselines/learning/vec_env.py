@@ -18,8 +18,6 @@ from retract_env.task.rules import TERMS
 
 NOTHING: dict[str, Any] = {}
 """The info of every environment that is not done, one and the same for all: not to be written to."""
-ENDED = ("final_obs", "final_info")
-"""What infos hold of episodes that are over; the rest is of those that are under way."""
 
 
 class BatchVecEnv(VecEnv):
@@ -36,7 +34,7 @@ class BatchVecEnv(VecEnv):
       logs them without `VecMonitor`;
     - `episode_terms`: the terms of the reward, each summed over the episode.
 
-    `reset_infos` are whole. All environments share the vector environment's attributes. Where the options of
+    `reset_infos` are those of the last `reset`. All environments share the vector environment's attributes. Where the options of
     `set_options` differ, each kind is reset in turn.
     """
 
@@ -60,7 +58,8 @@ class BatchVecEnv(VecEnv):
         for mask in each.values():
             options = {**self._options[int(mask.argmax())], "reset_mask": mask}
             observations, infos = self.envs.reset(seed=self._seeds, options=options)  # type: ignore[arg-type]
-            for k, info in zip(np.flatnonzero(mask), rows(infos, mask), strict=True):
+            where = np.flatnonzero(mask)
+            for k, info in zip(where, rows(infos, where), strict=True):
                 self.reset_infos[k] = info
         self._reset_seeds()
         self._reset_options()
@@ -96,15 +95,13 @@ class BatchVecEnv(VecEnv):
         where = np.flatnonzero(dones)
         numbers = where.tolist()
         totals = [sums[where].tolist() for sums in (self._returns, self._lengths)]
-        terms = rows(self._terms, dones)
-        told = dict(zip(numbers, rows(final, dones), strict=True))
-        begun = rows({name: infos[name] for name in infos if name not in ENDED}, dones)
+        terms = rows(self._terms, where)
+        told = dict(zip(numbers, rows(final, where), strict=True))
         for i, (k, info) in enumerate(told.items()):
             info["episode"] = {"r": round(totals[0][i], 6), "l": totals[1][i], "t": seconds}
             info["episode_terms"] = terms[i]
             info["TimeLimit.truncated"] = bool(cut[k])
             info["terminal_observation"] = infos["final_obs"][k]
-            self.reset_infos[k] = begun[i]
         for sums in (self._returns, self._lengths, *self._terms.values()):
             sums[where] = 0
         return told
@@ -140,11 +137,11 @@ class BatchVecEnv(VecEnv):
         return [wrapper_class is Monitor for _ in self._get_indices(indices)]
 
 
-def rows(infos: Mapping[str, Any], mask: NDArray[np.bool_]) -> list[dict[str, Any]]:
-    """Infos of `gymnasium.vector`, arrays by name, as a single environment's where the mask (n,) is true."""
+def rows(infos: Mapping[str, Any], where: NDArray[np.int64]) -> list[dict[str, Any]]:
+    """Infos of `gymnasium.vector`, arrays by name, of the environments `where` as single ones have them."""
     names = [name for name in infos if not name.startswith("_")]
     columns = [
-        rows(values, mask) if isinstance(values, Mapping) else values[mask].tolist()
+        rows(values, where) if isinstance(values, Mapping) else values[where].tolist()
         for values in (infos[name] for name in names)
     ]
     return [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
