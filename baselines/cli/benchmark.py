@@ -54,8 +54,7 @@ def benchmark_command(
         check_physics(about.policy_physics, about.policy_resolution)
         methods = chosen(methods_of(about, policies or TRAINED), method)
         tasks = tasks_of(about, methods, split or list(about.splits), scenes, transfer)
-        announce_compilation()
-        announce_compilation(about.policy_physics)
+        announce_compilation("fem", about.policy_physics)
         with usable_folder(out), going_on(lambda: "the same command goes on where it stopped"):
             rows = run_with_bar(tasks, compete, out / ".benchmark.jsonl", jobs, cluster, "benchmark")
             curves: dict[str, list[Any]] = {}

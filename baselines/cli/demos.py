@@ -58,8 +58,7 @@ def demos_command(
             }
             for k in range(count)
         ]
-        announce_compilation()
-        announce_compilation(physics)
+        announce_compilation("fem", physics)
         with usable_folder(kept.parent), going_on(lambda: "the same command goes on where it stopped"):
             rows = run_with_bar(tasks, demos.demonstrate, kept, jobs, cluster, name)
         typer.echo(demos.summary(rows))

@@ -32,9 +32,7 @@ def _datasets(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.Monk
 
 @pytest.fixture(scope="module")
 def tasks() -> list[dict[str, Any]]:
-    return [
-        {"planner": "eased", "resolution": "coarse", "physics": "fem", "seed": seed} for seed in (1, 2)
-    ]
+    return [{"planner": "eased", "resolution": "coarse", "physics": "fem", "seed": seed} for seed in (1, 2)]
 
 
 @pytest.fixture(scope="module")
@@ -103,6 +101,26 @@ def test_its_episodes_are_replayed_from_their_own_seeds(dataset: Any) -> None:
         # it moved: the jaws ended somewhere else than they closed
         poses = [gripper_pose(o, scene) for o in episode.observations[[1, -1]]]
         assert np.hypot(*(poses[1] - poses[0])[:2]) > 5e-3
+    env.close()
+
+
+def test_plans_are_played_on_the_physics_that_is_asked_for(tasks: list[dict[str, Any]]) -> None:
+    """On rods: the data set names their environment, which begins its episodes as they were played."""
+    import minari
+
+    task = tasks[0] | {"physics": "rod"}
+    row = demos.demonstrate(task)
+    assert row["certificate"]["certified"] and row["episode"] is not None
+    demos.write_dataset("toy/rods-v0", [row], task, "retract demos --physics rod")
+    dataset = minari.load_dataset("toy/rods-v0")
+    assert dataset.env_spec.id == PHYSICS["rod"].env_id
+    env, episode = dataset.recover_environment(), dataset[0]
+    seen, _ = env.reset(seed=demos.episode_seed(task["seed"]))
+    for k, action in enumerate(episode.actions):
+        assert np.array_equal(seen, episode.observations[k])
+        seen, reward, terminated, _, _ = env.step(action)
+        assert reward == episode.rewards[k]
+    assert terminated
     env.close()
 
 
