@@ -78,6 +78,9 @@ class Lanes(NamedTuple):
     """(n, 4) m"""
     grasp: Array
     """(n, 2) m, where they grasp and by how much they close"""
+    section: NDArray[np.int64]
+    share: Array
+    """(n, KEYPOINTS) before which section of the rod a keypoint is, and how far on to the next"""
     strain: Array
     friction: Array
     """(n,), (n, 2) now"""
