@@ -65,9 +65,10 @@ def announce_compilation(*physics: str) -> None:
 
     for name in physics or ("fem",):
         if name == "rod":
+            from retract_env.compilation import is_cached
             from retract_env.task.batch import advance_range
 
-            if not retract_env.fem.is_cached(advance_range):
+            if not is_cached(advance_range):
                 _compile("rod", _use_every_kernel_of_rods)
         elif not retract_env.fem.kernels_are_cached(name):
             _compile("finite-element", _use_every_kernel)

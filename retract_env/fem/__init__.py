@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
+from retract_env.compilation import forget_old, is_cached
+
+forget_old()
 
 
 def kernels_are_cached(physics: str = "fem") -> bool:
@@ -14,13 +16,3 @@ def kernels_are_cached(physics: str = "fem") -> bool:
     from retract_env.fem import kernels
 
     return is_cached(kernels.tangent if physics == "fem" else kernels.residual)
-
-
-def is_cached(kernel: Any) -> bool:
-    """Whether numba has a kernel on disk, compiled for this processor from these sources."""
-    from numba.core.registry import cpu_target
-
-    # numba has no public way to ask. Its index is empty where it is of other sources or of another numba;
-    # an entry's key is a signature, the processor, and hashes of the code.
-    here = cpu_target.target_context.codegen().magic_tuple()
-    return any(key[1] == here for key in kernel._cache._cache_file._load_index())

@@ -37,12 +37,12 @@ from retract_env.rod.measures import (
     IN_SIGHT,
     MEASURED,
     SIGHT,
-    clear_of,
     measure,
     surfaces,
     tool_clearance,
     worst_strain,
 )
+from retract_env.rod.outline import outlines
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -186,13 +186,13 @@ def advance(block, held):
         block.rod_strain[lane] = block.grip[lane, COMPRESSION]
     surfaces(block.free_u, block.inner_u, block.rod_strain, block.points)
     worst_strain(block.free, block.inner, block.free_u, block.inner_u, block.work, block.rod_strain)
+    outlines(block.points, block.flap, block.sight, block.done, block.measured)
     jaws = np.empty(4)
     for lane in range(LANES):
         block.todo[lane] = False
         if block.done[lane]:
             flap, sight, out = block.flap[lane], block.sight[lane], block.measured[lane]
             measure(block.here, block.loads, block.grip[lane], held, block.rod_strain, lane, out)
-            clear_of(flap[HEIGHT], block.points, sight, lane, out)
             if sight[IN_SIGHT] > 0.0:
                 jaws_in(block, lane, jaws)
                 out[CLEARANCE] = min(out[CLEARANCE], tool_clearance(jaws, flap[JAW_WIDTH], sight))
