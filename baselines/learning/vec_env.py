@@ -59,13 +59,13 @@ class BatchVecEnv(VecEnv):
             options = {**self._options[int(mask.argmax())], "reset_mask": mask}
             observations, infos = self.envs.reset(seed=self._seeds, options=options)  # type: ignore[arg-type]
             where = np.flatnonzero(mask)
-            for k, info in zip(where, rows(infos, where), strict=True):
-                self.reset_infos[k] = info
+            for place, info in zip(where, rows(infos, where), strict=True):
+                self.reset_infos[place] = info
         self._reset_seeds()
         self._reset_options()
-        for sums in (self._returns, self._lengths, *self._terms.values()):
-            sums[:] = 0
-        return observations  # type: ignore[no-any-return]
+        for counted in (self._returns, self._lengths, *self._terms.values()):
+            counted[:] = 0
+        return observations
 
     def step_async(self, actions: NDArray[Any]) -> None:
         """Actions (n, 3) of the next `step_wait`."""
@@ -102,8 +102,8 @@ class BatchVecEnv(VecEnv):
             info["episode_terms"] = terms[i]
             info["TimeLimit.truncated"] = bool(cut[k])
             info["terminal_observation"] = infos["final_obs"][k]
-        for sums in (self._returns, self._lengths, *self._terms.values()):
-            sums[where] = 0
+        for counted in (self._returns, self._lengths, *self._terms.values()):
+            counted[where] = 0
         return told
 
     def close(self) -> None:

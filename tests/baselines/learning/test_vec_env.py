@@ -25,7 +25,7 @@ SHORT: dict[str, Any] = {"scene": "random", "task": {"steps": 5}}
 """Episodes that end by the time as well as by limits."""
 
 
-def batch(count: int, **arguments: Any) -> BatchVecEnv:
+def batch(count: int, **arguments: Any) -> Any:
     return BatchVecEnv(gym.make_vec(ROD, count, autoreset_mode="SameStep", **(SHORT | arguments)))
 
 
@@ -36,7 +36,7 @@ def envs() -> Iterator[BatchVecEnv]:
     made.close()
 
 
-def single_ones(count: int, **arguments: Any) -> DummyVecEnv:
+def single_ones(count: int, **arguments: Any) -> Any:
     def make() -> gym.Env[Any, Any]:
         return Monitor(gym.make(ROD, disable_env_checker=True, **(SHORT | arguments)))
 
@@ -100,7 +100,7 @@ def test_options_are_used_once_and_may_differ() -> None:
         made.close()
 
 
-def test_environments_are_asked_by_their_numbers(envs: BatchVecEnv) -> None:
+def test_environments_are_asked_by_their_numbers(envs: Any) -> None:
     assert envs.get_attr("num_envs", 0) == [3] and envs.render_mode is None
     assert [space.shape for space in envs.get_attr("action_space")] == [(3,)] * 3
     assert not envs.has_attr("nothing_of_the_kind")
@@ -124,7 +124,7 @@ def test_it_takes_episodes_that_follow_in_the_same_step_alone() -> None:
 
 def test_normalising_monitoring_and_stacking_wrap_it() -> None:
     """The wrappers of Stable-Baselines3 do to it what they do to single environments."""
-    made = []
+    made: list[Any] = []
     for inner in (batch(3), single_ones(3)):
         with pytest.warns(UserWarning, match="already wrapped with a `Monitor`"):
             monitored = VecMonitor(inner)
@@ -153,6 +153,8 @@ def test_an_agent_learns_in_it_and_its_returns_are_logged() -> None:
     model.learn(512)
     assert model.num_timesteps == 512 and len(model.ep_info_buffer or ()) > 20
     assert NOTHING == {}
+    returns: Any
+    lengths: Any
     returns, lengths = evaluate_policy(model, envs, 10, return_episode_rewards=True)
     assert len(returns) == len(lengths) >= 10 and all(1 <= length <= 5 for length in lengths)
     envs.close()
