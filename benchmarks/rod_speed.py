@@ -1,8 +1,8 @@
 """Steps a second of the retraction task on rods: python -m benchmarks.rod_speed.
 
-Only the environments' own work is timed, on two threads unless told otherwise; what chooses the actions is not,
-but for the last line: PPO's rollout as `retract train` makes it, with its untrained network on one thread, the
-normalisation of observations and the log, on as many cores as there are.
+Only the environments' own work is timed, on two threads unless told otherwise; what chooses the actions is
+not, but for the last line: PPO's rollout as `retract train` makes it, with its untrained network on one thread,
+the normalisation of observations and the log, on as many cores as there are.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ ROLLOUT = 256
 
 
 def eased_actions(observations: Floats) -> Floats:
-    """Actions (n, 3) along eased paths for flaps as `sample_scene` draws them, from observations (n, SIZE)."""
+    """Actions (n, 3) along eased paths for flaps as `sample_scene` draws them; observations (n, SIZE)."""
     seen = {name: observations[:, part].astype(np.float64) for name, part in SLICES.items()}
     holding = seen["holding"][:, 0] > 0
     target, slope = seen["target"][:, 0] * LENGTH, seen["slope"][:, 0]

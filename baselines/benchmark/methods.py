@@ -1,7 +1,7 @@
 """What competes: planners, trained policies, a random one, and doing nothing. Each hands in grasp and path.
 
-A policy is played in the environment on the benchmark's physics, and what its jaws did is what it hands in. The certifier judges
-all alike. `compete` is the work of one method on one scene, for `run_tasks`.
+A policy is played in the environment on the benchmark's physics, and what its jaws did is what it hands in.
+The certifier judges all alike. `compete` is the work of one method on one scene, for `run_tasks`.
 """
 
 from __future__ import annotations

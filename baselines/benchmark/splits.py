@@ -74,7 +74,7 @@ class Benchmark(_Part):
     """Judged on the first `slow` scenes of a split only."""
 
     def played_in(self, physics: str) -> Benchmark:
-        """The same with policies that move in another physics, at its own resolution. Raises BenchmarkError."""
+        """The same with policies that move in another physics, as it comes. Raises BenchmarkError."""
         resolution = PHYSICS[physics].resolution if physics in PHYSICS else ""
         return self.from_data(
             self.model_dump(mode="json") | {"policy_physics": physics, "policy_resolution": resolution}

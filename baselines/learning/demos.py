@@ -57,8 +57,9 @@ def demo_scene(number: int) -> Scene:
 def demonstrate(task: WorkItem) -> Row:
     """Plan, certify and play one scene; work for `run_tasks`.
 
-    task: planner, resolution of its certificate, physics of the environment, seed (the scene's number). The row has the certificate, None
-    where none is certified, and the episode, None where the environment did not succeed too.
+    task: planner, resolution of its certificate, physics of the environment, seed (the scene's number). The
+    row has the certificate, None where none is certified, and the episode, None where the environment did not
+    succeed too.
     """
     from planners import NoPlan, plan
 

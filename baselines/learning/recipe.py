@@ -94,7 +94,7 @@ def learner_of(algorithm: object) -> type[Learner]:
 
 
 class Recipe(Part):
-    """All that decides a training run, but the seed, and how many environments run side by side unless it says."""
+    """All that decides a training run, but the seed, and how many environments there are where it is silent."""
 
     algorithm: str
     """in `ALGORITHMS`"""

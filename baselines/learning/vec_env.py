@@ -1,4 +1,4 @@
-"""A native Gymnasium vector environment as Stable-Baselines3 takes environments: without a process for each."""
+"""A native Gymnasium vector environment as Stable-Baselines3 takes environments: no process for each."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ class BatchVecEnv(VecEnv):
     """The retraction task for many flaps at once, as Stable-Baselines3's `VecEnv`.
 
     `BatchVecEnv(gym.make_vec("TissueRetractRod-v0", num_envs=256, autoreset_mode="SameStep"))` does what
-    `DummyVecEnv` does with so many single environments: the same observations, rewards (float32) and dones, to
-    the last bit. What infos hold is less: a dictionary for each environment in each step would take longer than
-    its flap. Environments that are not done share one empty dictionary, `NOTHING`. One that is done has the single
-    environment's last info and
+    `DummyVecEnv` does with so many single environments: the same observations, rewards (float32) and dones,
+    to the last bit. What infos hold is less: a dictionary for each environment in each step would take longer
+    than its flap. Environments that are not done share one empty dictionary, `NOTHING`. One that is done has
+    the single environment's last info and
 
     - `terminal_observation`, and `TimeLimit.truncated`: truncated and not terminated;
-    - `episode`: return `r`, length `l` and seconds since the start `t`, as `Monitor` has them, so that training
-      logs them without `VecMonitor`;
+    - `episode`: return `r`, length `l` and seconds since the start `t`, as `Monitor` has them, so that
+      training logs them without `VecMonitor`;
     - `episode_terms`: the terms of the reward, each summed over the episode.
 
-    `reset_infos` are those of the last `reset`. All environments share the vector environment's attributes. Where the options of
-    `set_options` differ, each kind is reset in turn.
+    `reset_infos` are those of the last `reset`. All environments share the vector environment's attributes.
+    Where the options of `set_options` differ, each kind is reset in turn.
     """
 
     def __init__(self, envs: gym.vector.VectorEnv[Any, Any, Any]):
