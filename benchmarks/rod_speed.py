@@ -1,8 +1,8 @@
 """Steps a second of the retraction task on rods: python -m benchmarks.rod_speed.
 
 Only the environments' own work is timed, on two threads unless told otherwise; what chooses the actions is
-not, but for the last line: PPO's rollout as `retract train` makes it, with its untrained network on one thread,
-the normalisation of observations and the log, on as many cores as there are.
+not, but for the last line: PPO's rollout as `retract train` makes it, with its untrained network on one
+thread, the normalisation of observations and the log, on as many cores as there are.
 """
 
 from __future__ import annotations

@@ -94,7 +94,7 @@ def learner_of(algorithm: object) -> type[Learner]:
 
 
 class Recipe(Part):
-    """All that decides a training run, but the seed, and how many environments there are where it is silent."""
+    """All that decides a training run, but the seed, and how many environments where it does not say."""
 
     algorithm: str
     """in `ALGORITHMS`"""
