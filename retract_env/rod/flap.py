@@ -16,6 +16,7 @@ from retract_env.rod.chain import (
     LENGTH,
     LOAD,
     RIGHT,
+    SLACK,
     STIFFNESS,
     WEIGHT,
     equilibrate,
@@ -30,6 +31,10 @@ BED_STIFFNESS = 0.3
 """Of bed and block, E d per length of flap: what the tissue between axis and surface gives."""
 SHORTEST = 0.02
 """Least length of the free part, heights: a grasp at the free end leaves a stub, where otherwise nothing were."""
+STRETCHED_ROOT = 0.13
+"""Length of flap, heights, that stretches as much as the tissue that the jaws hold by its surfaces."""
+SLACKENS = 0.74
+"""Part of the slack of a bent section (`mechanics`) that a flap shows, held as it is between jaws and fixed end."""
 PLANE = 3.0
 """Depth over height at which half of the way is made from a narrow flap, whose fibres contract freely, to a deep
 one, whose fibres cannot contract along the depth."""
@@ -71,6 +76,7 @@ def _chain(flap, vertices, offsets, moduli, left, right, count, weight, bed, P, 
     P[WEIGHT * LANES + lane] = weight
     P[BED * LANES + lane] = bed
     P[BLOCK * LANES + lane] = BED_STIFFNESS
+    P[SLACK * LANES + lane] = SLACKENS * (1.0 + 1.5 * poisson) / 12.0
     for k in range(3):
         P[(LOAD + k) * LANES + lane] = 0.0
     unit = modulus * height
@@ -87,6 +93,7 @@ def _chain(flap, vertices, offsets, moduli, left, right, count, weight, bed, P, 
             shear += 2.0 * (1.0 + poisson) / (SHEAR * area)
         stretch, couple, bend, shear = stretch / SLICES, couple / SLICES, bend / SLICES, shear / SLICES
         if e == held:
+            stretch *= 1.0 + STRETCHED_ROOT / P[LENGTH * LANES + lane]
             bend *= 1.0 + root / P[LENGTH * LANES + lane]
         determinant = stretch * bend - couple * couple
         p = (STIFFNESS + 4 * e) * LANES + lane

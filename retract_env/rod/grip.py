@@ -45,9 +45,9 @@ SHAPE = 4
 counts in full; decay of what the free and the fixed end do, heights."""
 
 # What is kept of a grip, as a row of numbers: log of the normal force over c E h d, and of eps_1% over c, each
-# as p + q c + r c^2; w; nu / 2; c
-NORMAL, STRAIN, WIDTH, PUSH, COMPRESSION = 0, 3, 6, 7, 8
-GRIP = 9
+# as p + q c + r c^2; by how much tissue is pushed out to each side, heights; c
+NORMAL, STRAIN, PUSH, COMPRESSION = 0, 3, 6, 7
+GRIP = 8
 
 
 def load() -> tuple[Array, Array]:
@@ -86,11 +86,12 @@ def features(flap, vertices, offsets, moduli, x, c, shape, out):
 
 POWER_OF_C = (0, 0, 1, 2, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1, 0, 1, 0, 1)
 """of each feature"""
-HELD = ("root", "moment", "settled", "inner moment^2", "free moment^2", "inner push", "free push")
-"""Weights of what depends on the flap's motion. root: length of flap, over c heights, that bends as much as the
-tissue at the jaws gives; moment: share of the moment that the jaws' tangential forces carry, a whole height
-apart less c; the others: of the change of the normal force, see `bearing`."""
-ROOT, MOMENT, SETTLED = 0, 1, 2
+HELD = ("root", "stiff", "pushed", "free moment", "settled", "moment^2", "push")
+"""Weights of what depends on the flap's motion. root, stiff: the tissue at the jaws gives as much as a length of
+flap, root c - stiff heights, bends: it is held by its surfaces, but for some length not free to bend; pushed: part
+of nu N / 2 by which it is pushed out of the jaws; free moment: share of the free part's moment that reaches the
+jaws' tangential forces; the others: of the normal force, see `bearing`."""
+ROOT, STIFF, PUSHED, FREE_MOMENT, SETTLED, BENT, PUSHING = range(7)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -109,10 +110,8 @@ def grip(flap, vertices, offsets, moduli, x, laws, out):
             else:
                 c += term
         out[3 * law], out[3 * law + 1], out[3 * law + 2] = a, b, c
-    w = flap[JAW_WIDTH] / flap[HEIGHT]
-    out[NORMAL] += math.log(w)
-    out[WIDTH] = w
-    out[PUSH] = flap[POISSON] / 2
+    out[NORMAL] += math.log(flap[JAW_WIDTH] / flap[HEIGHT])
+    out[PUSH] = 0.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -127,16 +126,15 @@ def squeeze(kept, c):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def bearing(kept, held, squeezed, inner_moment, free_moment, inner_push, free_push):
-    """Normal force, E h d, while the jaws hold the flap in some pose. held: the weights.
+def bearing(kept, held, inner_moment, free_moment, push):
+    """Normal force, E h d, while the jaws hold the flap in some pose. kept: a row of `grip`; held: the weights.
 
-    squeezed: that of the squeeze; moments, E h^2 d, and pushes along the flap, E h d, that the jaws do to the part
-    towards the fixed end and to the free part.
+    moments, E h^2 d: that the jaws do to both parts; push, E h d: along the flap, to the part towards the fixed end
+    less that to the free one. Pushed tissue is thicker, by Poisson's ratio, and bent tissue thinner, by its
+    square; the grip is the firmer for it as if the jaws were closed by as much.
     """
-    change = (
-        held[SETTLED + 1] * inner_moment * inner_moment
-        + held[SETTLED + 2] * free_moment * free_moment
-        + held[SETTLED + 3] * inner_push
-        + held[SETTLED + 4] * free_push
-    )
-    return squeezed * (1.0 + held[SETTLED]) + kept[WIDTH] * change
+    c = kept[COMPRESSION]
+    thicker = held[BENT] * (inner_moment * inner_moment + free_moment * free_moment) + held[PUSHING] * push
+    log = kept[NORMAL] + kept[NORMAL + 1] * c + kept[NORMAL + 2] * c * c
+    slope = math.exp(log) * (1.0 + c * (kept[NORMAL + 1] + 2.0 * kept[NORMAL + 2] * c))
+    return c * math.exp(log) * (1.0 + held[SETTLED]) + slope * thicker

@@ -8,9 +8,9 @@ import numpy as np
 from numba import njit
 
 from retract_env.objectives import WORST_FRACTION
-from retract_env.rod.chain import LANES, LENGTH
+from retract_env.rod.chain import LANES, LENGTH, SLACK
 from retract_env.rod.flap import FREE, INNER
-from retract_env.rod.grip import COMPRESSION, MOMENT, bearing, squeeze
+from retract_env.rod.grip import COMPRESSION, FREE_MOMENT, bearing, squeeze
 from retract_env.rod.mechanics import CONTRACT, sine_cosine, strains
 
 COLUMNS = 2 * (FREE + INNER) + 1
@@ -18,6 +18,9 @@ COLUMNS = 2 * (FREE + INNER) + 1
 JAWS_COLUMN = 2 * FREE
 PINCH = 0.5
 """Heights along the flap over which its thinning by the jaws falls to 1/e."""
+THICKER = 1.0 / 12.0
+"""Mean stretch of both surfaces of a freely bent section, times its curvature squared: less than its axis's, as it
+is thicker on the pressed side."""
 BISECTIONS = 16
 SHARPNESS = 6
 """eps_1% = (squeeze^p + rod^p)^(1/p): both strain the same tissue beside the jaws only in part."""
@@ -147,10 +150,10 @@ def _extremes(P, U, count, ends, high):
             length = P[LENGTH * LANES + l]
             per = 1.0 / length
             s, c = sine_cosine(0.5 * (V[2 * LANES + l] + V[5 * LANES + l]))
-            stretch = strains((V[3 * LANES + l] - V[l]) * per, (V[4 * LANES + l] - V[LANES + l]) * per, s, c)[
-                0
-            ]
-            half = 0.5 * abs(V[5 * LANES + l] - V[2 * LANES + l]) * per + 1e-9  # never without width
+            dx, dy = (V[3 * LANES + l] - V[l]) * per, (V[4 * LANES + l] - V[LANES + l]) * per
+            bend = abs(V[5 * LANES + l] - V[2 * LANES + l]) * per
+            stretch = strains(dx, dy, s, c)[0] - (P[SLACK * LANES + l] - THICKER) * bend * bend
+            half = 0.5 * bend + 1e-9  # never without width
             Q[l] = stretch - half
             Q[LANES + l] = stretch + half
             Q[2 * LANES + l] = length
@@ -171,11 +174,11 @@ def measure(pose, loads, kept, held, rod_strain, lane, out):
     inner_x, inner_y, inner_m = loads[3 * LANES + lane], loads[4 * LANES + lane], loads[5 * LANES + lane]
     free_along, inner_along = c * free_x + s * free_y, c * inner_x + s * inner_y
     free_across, inner_across = c * free_y - s * free_x, c * inner_y - s * inner_x
-    squeezed, pressed = squeeze(kept, compression)
-    mean = bearing(kept, held, squeezed, inner_m, free_m, inner_along, free_along)
+    pressed = squeeze(kept, compression)[1]
+    mean = bearing(kept, held, inner_m, free_m, inner_along - free_along)
     lift, drag = free_across + inner_across, free_along + inner_along
-    moment = free_m + inner_m + push * (inner_across - free_across)
-    couple = held[MOMENT] * moment / (1.0 - compression)
+    moment = held[FREE_MOMENT] * free_m + inner_m + push * (inner_across - free_across)
+    couple = moment / (1.0 - compression)
     out[NORMAL_1], out[NORMAL_2] = mean + 0.5 * lift, mean - 0.5 * lift
     out[DRAG_1], out[DRAG_2] = 0.5 * drag + couple, 0.5 * drag - couple
     for jaw in range(2):

@@ -85,15 +85,18 @@ def strains(dx, dy, sine, cosine):
 
 
 @njit(fastmath=CONTRACT, error_model="numpy")
-def energy(stretch, shear, bend, A, B, D, G):
+def energy(stretch, shear, bend, A, B, D, G, b):
     """U, per length; bend is the curvature."""
+    stretch = stretch - b * bend * bend
     return 0.5 * (A * stretch * stretch + D * bend * bend + G * shear * shear) + B * stretch * bend
 
 
 @njit(fastmath=CONTRACT, error_model="numpy")
-def gradient(stretch, shear, bend, sine, cosine, A, B, D, G):
+def gradient(stretch, shear, bend, sine, cosine, A, B, D, G, b):
     """dU over x', y', theta and theta': the force (2) along the rod, N g - Q (1 + e), and the moment."""
-    N, M, Q = A * stretch + B * bend, B * stretch + D * bend, G * shear
+    strained = stretch - b * bend * bend
+    N, Q = A * strained + B * bend, G * shear
+    M = B * strained + D * bend - 2.0 * b * bend * N
     return (
         cosine * N - sine * Q,
         sine * N + cosine * Q,
@@ -103,10 +106,13 @@ def gradient(stretch, shear, bend, sine, cosine, A, B, D, G):
 
 
 @njit(fastmath=CONTRACT, error_model="numpy")
-def hessian(stretch, shear, bend, sine, cosine, A, B, D, G):
-    """Second derivatives of U over (x', y', theta, theta'): xx, xy, yy, xt, yt, tt, xk, yk, tk; kk is D."""
+def hessian(stretch, shear, bend, sine, cosine, A, B, D, G, b):
+    """Second derivatives of U over (x', y', theta, theta'): xx, xy, yy, xt, yt, tt, xk, yk, tk, kk."""
     s, c, e = sine, cosine, 1.0 + stretch
-    N, Q = A * stretch + B * bend, G * shear
+    N, Q = A * (stretch - b * bend * bend) + B * bend, G * shear
+    turn = 2.0 * b * bend
+    D += turn * turn * A - 2.0 * turn * B - 2.0 * b * N
+    B -= turn * A
     fx, fy = c * N - s * Q, s * N + c * Q
     return (
         A * c * c + G * s * s,
@@ -118,6 +124,7 @@ def hessian(stretch, shear, bend, sine, cosine, A, B, D, G):
         B * c,
         B * s,
         B * shear,
+        D,
     )
 
 
