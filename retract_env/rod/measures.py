@@ -22,10 +22,11 @@ THICKER = 1.0 / 12.0
 """Mean stretch of both surfaces of a freely bent section, times its curvature squared: less than its axis's, as it
 is thicker on the pressed side."""
 BISECTIONS = 16
-BENT, SHARPNESS = 2.64, 9
-"""eps_1% = (pressed^p + rod^p)^(1/p), with p the sharpness: the most strained tissue is that between the jaws or
-that elsewhere. What is pressed is also bent: pressed^2 = squeeze^2 + (BENT M)^2, M the larger of the moments that
-the jaws do to both sides, E h^2 d. The surface of a bent flap is strained by 6 M."""
+BENT, DRAGGED, SHARPNESS = 2.64, 1.2, 9
+"""eps_1% = (held^p + rod^p)^(1/p), with p the sharpness: the most strained tissue is that between the jaws or that
+elsewhere. What is held is squeezed, bent and sheared: held^2 = squeeze^2 + (BENT M)^2 + (DRAGGED T)^2, M the larger
+of the moments that the jaws do to both sides, E h^2 d, and T what they drag along the flap, E h d. (The surface of a
+bent flap is strained by 6 M, of which half counts.)"""
 IN_BLOCK = 1e-3
 """Heights that tissue has to be inside the fixed block to count, as on finite elements."""
 
@@ -187,7 +188,9 @@ def measure(pose, loads, kept, held, rod_strain, lane, out):
         normal = out[NORMAL_1 + jaw]
         out[FRICTION_1 + jaw] = abs(out[DRAG_1 + jaw]) / normal if normal > 0.0 else np.inf
     bent = BENT * max(abs(inner_m), abs(free_m))
-    a, b = (pressed * pressed + bent * bent) ** (SHARPNESS / 2), rod_strain[lane] ** SHARPNESS
+    sheared = DRAGGED * drag
+    a = (pressed * pressed + bent * bent + sheared * sheared) ** (SHARPNESS / 2)
+    b = rod_strain[lane] ** SHARPNESS
     out[WORST] = (a + b) ** (1.0 / SHARPNESS)
 
 
