@@ -26,7 +26,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from retract_env.rod.flap import DEPTH, HEIGHT, JAW_WIDTH, LENGTH_M, MODULUS, POISSON
+from retract_env.rod.flap import DEPTH, HAS_BED, HEIGHT, JAW_WIDTH, LENGTH_M, MODULUS, POISSON
 from retract_env.spring.columns import columns
 
 Array = NDArray[np.float64]
@@ -45,9 +45,10 @@ SHAPE = 4
 counts in full; decay of what the free and the fixed end do, heights."""
 
 # What is kept of a grip, as a row of numbers: log of the normal force over c E h d, and of eps_1% over c, each
-# as p + q c + r c^2; by how much tissue is pushed out to each side, heights; c
-NORMAL, STRAIN, PUSH, COMPRESSION = 0, 3, 6, 7
-GRIP = 8
+# as p + q c + r c^2; by how much tissue is pushed out to each side, heights; c;
+# 1 on a bed
+NORMAL, STRAIN, PUSH, COMPRESSION, ON_BED = 0, 3, 6, 7, 8
+GRIP = 9
 
 
 def load() -> tuple[Array, Array]:
@@ -112,6 +113,7 @@ def grip(flap, vertices, offsets, moduli, x, laws, out):
         out[3 * law], out[3 * law + 1], out[3 * law + 2] = a, b, c
     out[NORMAL] += math.log(flap[JAW_WIDTH] / flap[HEIGHT])
     out[PUSH] = 0.0
+    out[ON_BED] = flap[HAS_BED]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

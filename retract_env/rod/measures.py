@@ -10,7 +10,7 @@ from numba import njit
 from retract_env.objectives import WORST_FRACTION
 from retract_env.rod.chain import LANES, LENGTH, SLACK
 from retract_env.rod.flap import FREE, INNER
-from retract_env.rod.grip import COMPRESSION, FREE_MOMENT, bearing, squeeze
+from retract_env.rod.grip import COMPRESSION, FREE_MOMENT, ON_BED, bearing, squeeze
 from retract_env.rod.mechanics import CONTRACT, sine_cosine, strains
 
 COLUMNS = 2 * (FREE + INNER) + 1
@@ -24,9 +24,14 @@ is thicker on the pressed side."""
 BISECTIONS = 16
 BENT, DRAGGED, SHARPNESS = 2.64, 1.2, 9
 """eps_1% = (held^p + rod^p)^(1/p), with p the sharpness: the most strained tissue is that between the jaws or that
-elsewhere. What is held is squeezed, bent and sheared: held^2 = squeeze^2 + (BENT M)^2 + (DRAGGED T)^2, M the larger
+elsewhere. What is held is squeezed, bent and sheared: held^2 = squeeze^2 + (BENT M)^2 + (DRAGGED T)^2 + ..., M the larger
 of the moments that the jaws do to both sides, E h^2 d, and T what they drag along the flap, E h d. (The surface of a
 bent flap is strained by 6 M, of which half counts.)"""
+INTO_BED, YIELDS, RELIEVED, PRESSED = 1.55, 2.2, 0.2, 1.85
+"""Jaws of which the lower one is d heights below the bed's surface press the tissue beside it onto the bed, which
+the rod's bed, soft as it is, does not feel: it pushes them up with INTO_BED d / (1 + YIELDS d) E h d, they press on
+the tissue between them with RELIEVED d less, and it is strained by PRESSED d. From random motions, all of them
+outside the limits; it is there so that nothing is gained by pressing the jaws into the bed."""
 IN_BLOCK = 1e-3
 """Heights that tissue has to be inside the fixed block to count, as on finite elements."""
 
@@ -179,7 +184,11 @@ def measure(pose, loads, kept, held, rod_strain, lane, out):
     free_across, inner_across = c * free_y - s * free_x, c * inner_y - s * inner_x
     pressed = squeeze(kept, compression)[1]
     mean = bearing(kept, held, inner_m, free_m, inner_along - free_along)
+    # how far the lower jaw is below the bed's surface
+    low = max(0.5 * (1.0 - compression) * c - pose[LANES + lane], 0.0) * kept[ON_BED]
+    mean -= RELIEVED * low
     lift, drag = free_across + inner_across, free_along + inner_along
+    lift -= INTO_BED * low / (1.0 + YIELDS * low)
     moment = held[FREE_MOMENT] * free_m + inner_m + push * (inner_across - free_across)
     couple = moment / (1.0 - compression)
     out[NORMAL_1], out[NORMAL_2] = mean + 0.5 * lift, mean - 0.5 * lift
@@ -188,8 +197,8 @@ def measure(pose, loads, kept, held, rod_strain, lane, out):
         normal = out[NORMAL_1 + jaw]
         out[FRICTION_1 + jaw] = abs(out[DRAG_1 + jaw]) / normal if normal > 0.0 else np.inf
     bent = BENT * max(abs(inner_m), abs(free_m))
-    sheared = DRAGGED * drag
-    a = (pressed * pressed + bent * bent + sheared * sheared) ** (SHARPNESS / 2)
+    sheared, below = DRAGGED * drag, PRESSED * low
+    a = (pressed * pressed + bent * bent + sheared * sheared + below * below) ** (SHARPNESS / 2)
     b = rod_strain[lane] ** SHARPNESS
     out[WORST] = (a + b) ** (1.0 / SHARPNESS)
 
