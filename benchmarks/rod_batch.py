@@ -90,7 +90,8 @@ def _side_by_side(courses: Sequence[Course], laws: Array, held: Array) -> list[F
                 rows[lane].append(_taken(block, lane, course, step))
     shapes = [part.shape for part in _taken(block, 0, courses[0], 0)]
     return [
-        Followed(*(np.array([r[k] for r in lane]).reshape(-1, *s) for k, s in enumerate(shapes))) for lane in rows
+        Followed(*(np.array([r[k] for r in lane]).reshape(-1, *s) for k, s in enumerate(shapes)))
+        for lane in rows
     ]
 
 

@@ -1,12 +1,13 @@
 """How far the rod is from fine finite elements: python -m benchmarks.rod_distance.
 
-Needs the sets `calibration`, `test` and `wide` of `benchmarks.rod_motions`, computed on `fine`, and compares what
-else is there of them: `coarse` finite elements and PyBullet. Prints tables and writes the quantiles that the
-package carries, retract_env/rod/distance.json; with --picture docs/images/rod_distance.png too.
+Needs the sets `calibration`, `test` and `wide` of `benchmarks.rod_motions`, computed on `fine`, and compares
+what else is there of them: `coarse` finite elements and PyBullet. Prints tables and writes the quantiles that
+the package carries, retract_env/rod/distance.json; with --picture docs/images/rod_distance.png too.
 
 All follow the same poses. States count while both find them within the limits of strain and friction; for the
-quantiles, while the rod does. Errors are those of the rod less fine finite elements: of the lowest clearance over
-the flap's length, of eps_1% (greatest so far) relative, of the required friction (greatest so far) as it is.
+quantiles, while the rod does. Errors are those of the rod less fine finite elements: of the lowest clearance
+over the flap's length, of eps_1% (greatest so far) relative, of the required friction (greatest so far) as it
+is.
 """
 
 from __future__ import annotations
@@ -74,8 +75,8 @@ class Pair:
         return int(np.argmin(np.append(ok & (states[:, P["overlap"]] == 0), False)))
 
     def errors(self, rod_alone: bool = False) -> dict[str, Array]:
-        """By quantity, (n,) of each state within the limits of both, or of the rod alone: rod less fine, strain
-        over that of fine, or, where the rod alone counts, over that of the rod."""
+        """By quantity, (n,) of each state within the limits of both, or of the rod alone: rod less fine,
+        strain over that of fine, or, where the rod alone counts, over that of the rod."""
         a, b = self.fine[self.common], self.other[self.common]
         n = self.within(b) if rod_alone else min(self.within(a), self.within(b))
         a, b = a[:n], b[:n]
@@ -93,13 +94,15 @@ class Pair:
 def pairs(name: str, other: str = "rod") -> list[Pair]:
     """A set's motions that are there on fine finite elements and on the other."""
     scenes: dict[int, Scene] = {}
-    there = {(m["seed"], m["kind"]): m for m in stored(name, other)} if other != "rod" else None
+    there: dict[tuple[int, str], dict[str, Any]] | None = None
+    if other != "rod":
+        there = {(m["seed"], m["kind"]): m for m in stored(name, other)}
     found = []
     for m in stored(name):
         if there is not None and (m["seed"], m["kind"]) not in there:
             continue
         scene = scenes.setdefault(m["seed"], scene_of(name, m["seed"]))
-        o = there[m["seed"], m["kind"]] if there is not None else {"states": [], "end": ""}
+        o: dict[str, Any] = {"states": [], "end": ""} if there is None else there[m["seed"], m["kind"]]
         states, others = (np.array(s["states"], float).reshape(-1, len(COLUMNS)) for s in (m, o))
         grasp = (m["x"], m["compression"])
         found.append(Pair(name, m["seed"], m["kind"], scene, grasp, states, m["end"], others, o["end"]))
@@ -124,7 +127,9 @@ def _follow(found: list[Pair]) -> None:
             poses = np.array(list(islice(motion(pair.scene, pair.kind, rng)[1], LONGEST)))
             done = max(len(course.poses) - 3, 0)
             progressed = np.concatenate([course.progress, 2.0 + np.arange(done, len(poses))])
-            further.append(Course(pair.scene, course.x, progressed, np.concatenate([course.poses, poses[done:]])))
+            further.append(
+                Course(pair.scene, course.x, progressed, np.concatenate([course.poses, poses[done:]]))
+            )
             longer.append(pair)
     if further:
         for pair, course, rod in zip(longer, further, follow(further), strict=True):
@@ -147,8 +152,8 @@ def _keep(pair: Pair, rod: Followed, course: Course) -> None:
 
 
 def verdict_of(scene: Scene, states: Array, shift: tuple[float, float] = (0.0, 0.0)) -> str | None:
-    """What settles a motion first among states (n, 12). shift: by so many NEAR strain and friction, and clearance,
-    are larger than they are."""
+    """What settles a motion first among states (n, 12). shift: by so many NEAR strain and friction, and
+    clearance, are larger than they are."""
     limits = scene.limits
     loads, rise = shift[0], shift[1] * NEAR["clearance"] * scene.tissue.length
     for state, needed in zip(states, friction(states), strict=True):
@@ -175,9 +180,13 @@ def far_from_limits(pair: Pair) -> bool:
     return before == {None} and last == {pair.fine_end}
 
 
+def _of_kind(kind: str) -> Callable[[Pair], bool]:
+    return lambda pair: pair.kind == kind
+
+
 GROUPS: dict[str, Callable[[Pair], bool]] = {
     "all": lambda _: True,
-    **{kind: (lambda p, kind=kind: p.kind == kind) for kind in KINDS},
+    **{kind: _of_kind(kind) for kind in KINDS},
     "no vein": lambda p: not p.scene.tissue.veins,
     "1 to 9 veins": lambda p: 0 < len(p.scene.tissue.veins) < 10,
     "10 and more": lambda p: len(p.scene.tissue.veins) >= 10,
@@ -198,7 +207,11 @@ def error_table(found: Sequence[Pair]) -> str:
             scale, digits = (100, 2) if name == "clearance" else (100, 1) if name == "strain" else (1, 3)
             worst = values[np.abs(values).argmax()]
             quantiles = "/".join(f"{scale * v:.{digits}f}" for v in np.percentile(values, [5, 50, 95]))
-            cells += [quantiles, f"{scale * np.percentile(np.abs(values), 95):.{digits}f}", f"{scale * worst:.{digits}f}"]
+            cells += [
+                quantiles,
+                f"{scale * np.percentile(np.abs(values), 95):.{digits}f}",
+                f"{scale * worst:.{digits}f}",
+            ]
         rows.append(cells)
     head = ["5/50/95 %", "95 % of abs", "worst"]
     names = ("clearance, % of length", "eps max, %", "friction", "friction now")
@@ -206,8 +219,8 @@ def error_table(found: Sequence[Pair]) -> str:
 
 
 def broken(pair: Pair) -> set[str]:
-    """All that fine finite elements say of the state that settles a motion: of several broken limits `verdict`
-    tells one. A jaw that pulls slips too."""
+    """All that fine finite elements say of the state that settles a motion: of several broken limits
+    `verdict` tells one. A jaw that pulls slips too."""
     if pair.fine_end in ("ok", "end"):
         return {pair.fine_end}
     state, limits = pair.fine[-1], pair.scene.limits
@@ -222,7 +235,7 @@ def confusion(found: Sequence[Pair], other: str) -> str:
     ends = Counter((pair.fine_end, pair.other_end) for pair in found)
     columns = sorted({b for _, b in ends})
     rows = [[a, *(ends[a, b] for b in columns)] for a in sorted({a for a, _ in ends})]
-    ways = {
+    ways: dict[str, Callable[[Pair], bool]] = {
         "the same name": lambda p: p.fine_end == p.other_end,
         "a limit that is broken": lambda p: p.other_end in broken(p),
         "ok or not": lambda p: (p.fine_end == "ok") == (p.other_end == "ok"),
@@ -231,7 +244,9 @@ def confusion(found: Sequence[Pair], other: str) -> str:
     shares = []
     for of, chosen in (("all", solved), ("far from the limits", [p for p in solved if far_from_limits(p)])):
         agree = [[way(p) for p in chosen] for way in ways.values()]
-        shares.append([of, len(chosen), *(f"{100 * np.mean(a):.1f} % ({len(a) - sum(a)} not)" for a in agree)])
+        shares.append(
+            [of, len(chosen), *(f"{100 * np.mean(a):.1f} % ({len(a) - sum(a)} not)" for a in agree)]
+        )
     shown = table([f"fine \\ {other}", *columns], rows)
     return shown + "\n\n" + table(["agree on", "motions", *ways], shares)
 
@@ -264,9 +279,12 @@ def differing(found: Sequence[Pair]) -> str:
 def scores(found: Sequence[Pair]) -> dict[str, dict[str, dict[str, Array]]]:
     """By unit, quantity and side: each motion's, or flap's, worst of what fine has more than the rod.
 
-    Lower sides come with their sign turned, so that more is worse; a motion without a state counts as no error.
+    Lower sides come with their sign turned, so that more is worse; a motion without a state counts as no
+    error.
     """
-    by_motion: dict[str, dict[str, list[float]]] = {q: {s: [] for s in distance.SIDES} for q in distance.QUANTITIES}
+    by_motion: dict[str, dict[str, list[float]]] = {
+        q: {s: [] for s in distance.SIDES} for q in distance.QUANTITIES
+    }
     for pair in found:
         errors = pair.errors(rod_alone=True)
         for name in distance.QUANTITIES:
@@ -311,7 +329,9 @@ def quantiles(found: Sequence[Pair], test: Sequence[Pair]) -> tuple[dict[str, An
 
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--picture", action="store_true", help="draw docs/images/rod_distance.png, by fine solves")
+    parser.add_argument(
+        "--picture", action="store_true", help="draw docs/images/rod_distance.png, by fine solves"
+    )
     options = parser.parse_args(arguments)
     progress("following the sets on the rod")
     calibration, test, wide = (pairs(name) for name in ("calibration", "test", "wide"))
@@ -326,7 +346,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         found = pairs("test", label)
         if found:
             chosen = {(p.seed, p.kind) for p in found}
-            print(f"\n{label}: {len(found)} motions of test\n\n{error_table(found)}\n\n{confusion(found, label)}")
+            print(f"\n{label}: {len(found)} motions of test\n\n{error_table(found)}\n")
+            print(confusion(found, label))
             if len(found) < len(test):
                 print(f"\nthe rod on those\n\n{error_table([p for p in test if (p.seed, p.kind) in chosen])}")
     data, text = quantiles(calibration, test)

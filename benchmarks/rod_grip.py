@@ -1,9 +1,9 @@
 """The rod's grip law, fitted to squeezes and motions on fine finite elements: python -m benchmarks.rod_grip.
 
-Needs the sets `fit` and `squeezes` of `benchmarks.rod_motions`. Writes retract_env/rod/grip.json and says how far
-off both laws of a squeeze are by cross-validation: every flap is judged by laws that never saw it. The weights of
-`held` follow from the motions of `fit`, by states within the limits of strain and friction. With --held the laws of
-a squeeze stay as they are.
+Needs the sets `fit` and `squeezes` of `benchmarks.rod_motions`. Writes retract_env/rod/grip.json and says how
+far off both laws of a squeeze are by cross-validation: every flap is judged by laws that never saw it. The
+weights of `held` follow from the motions of `fit`, by states within the limits of strain and friction. With
+--held the laws of a squeeze stay as they are.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def weighted(X: Array, y: Array, weight: Array) -> Array:
     for _ in range(5):
         found = np.linalg.lstsq(X * w[:, None], y * w, rcond=None)[0]
         w = weight / np.sqrt(1 + ((X @ found - y) / OUTLIER) ** 2)
-    return found
+    return np.asarray(found)
 
 
 def law(squeezes: Squeezes, target: Array, start: Sequence[float]) -> tuple[Array, Array, Array]:
@@ -87,9 +87,10 @@ def law(squeezes: Squeezes, target: Array, start: Sequence[float]) -> tuple[Arra
 
     def residuals(shape: Array) -> Array:
         X = squeezes.features(np.abs(shape))
-        return np.arcsinh((X @ weighted(X, target, squeezes.weight) - target) * squeezes.weight / OUTLIER)
+        off = X @ weighted(X, target, squeezes.weight) - target
+        return np.asarray(np.arcsinh(off * squeezes.weight / OUTLIER))
 
-    shape = np.abs(least_squares(residuals, start, diff_step=1e-2, max_nfev=15).x)
+    shape = np.abs(least_squares(residuals, start, diff_step=[1e-2] * len(start), max_nfev=15).x)
     X = squeezes.features(shape)
     unseen = np.empty_like(target)
     for fold in range(FOLDS):
@@ -106,7 +107,9 @@ class Motions:
         for motion in stored("fit"):
             states = np.array(motion["states"]).reshape(-1, len(COLUMNS))
             scene = scene_of("fit", motion["seed"])
-            within = (states[:, P["strain"]] <= scene.limits.strain) & (friction(states) <= scene.limits.friction)
+            within = (states[:, P["strain"]] <= scene.limits.strain) & (
+                friction(states) <= scene.limits.friction
+            )
             states = states[: int(np.argmin(np.append(within, False)))]
             if len(states):
                 self.courses.append(Course(scene, motion["x"], states[:, 0], states[:, 1:5]))
@@ -132,7 +135,11 @@ class Motions:
 def held_weights(motions: Motions, laws: Array, start: Array) -> Array:
     """Weights of HELD, those of START_HELD in size."""
     scale = np.abs(START_HELD)
-    found = least_squares(lambda v: motions.residuals(laws, v * scale), start / scale, diff_step=0.03, max_nfev=5)
+
+    def residuals(v: Array) -> Array:
+        return motions.residuals(laws, v * scale)
+
+    found = least_squares(residuals, start / scale, diff_step=[0.03] * len(start), max_nfev=5)
     return np.asarray(found.x * scale)
 
 
@@ -149,10 +156,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
             progress(f"fitting the law of {name}")
             shape, weights, unseen = law(squeezes, target, START[name])
             data[name] = {"shape": shape.round(5).tolist(), "weights": weights.round(6).tolist()}
-            for which, chosen in (("as in retractions", squeezes.weight == 1), ("uncommon", squeezes.weight < 1)):
+            for which, chosen in (
+                ("as in retractions", squeezes.weight == 1),
+                ("uncommon", squeezes.weight < 1),
+            ):
                 residual = unseen[chosen]
                 quantiles = [f"{100 * v:.1f} %" for v in np.percentile(residual, [5, 50, 95])]
-                rows.append([f"{name}, {which}", len(residual), *quantiles, f"{100 * np.abs(residual).max():.0f} %"])
+                rows.append(
+                    [f"{name}, {which}", len(residual), *quantiles, f"{100 * np.abs(residual).max():.0f} %"]
+                )
         print(table(["law, flaps", "squeezes", "5 %", "median", "95 %", "worst"], rows))
     laws = np.array([[*data[name]["shape"], *data[name]["weights"]] for name in ("normal", "strain")])
     progress("fitting the weights of a held flap")

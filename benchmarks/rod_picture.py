@@ -40,10 +40,12 @@ def draw(test: Sequence[Pair]) -> None:
     typical = sorted(seen, key=_worst_clearance)[len(seen) // 2]
     with plt.rc_context(STYLE):
         figure = plt.figure(figsize=(10, 7.2), layout="constrained")
-        above, below = figure.subfigures(2, 1, height_ratios=(1.25, 1))
+        parts: Any = figure.subfigures(2, 1, height_ratios=(1.25, 1))
+        above, below = parts
         for axes, name in zip(above.subplots(1, 3, sharey=True), SHOWN, strict=True):
             _quantiles(axes, name, test, coarse)
-        for axes, pair, label in zip(below.subplots(1, 2, width_ratios=(1.6, 1)), (typical, worst), ("Typical", "The worst"), strict=True):
+        left, right = below.subplots(1, 2, width_ratios=(1.6, 1))
+        for axes, pair, label in ((left, typical, "Typical"), (right, worst, "The worst")):
             _flaps(axes, pair, label)
         figure.savefig(FILE, dpi=110)
         plt.close(figure)

@@ -1,19 +1,19 @@
 """What the jaws' grip does to the tissue between them: laws fitted to squeezes on fine finite elements.
 
 The rod knows no squeeze. How hard the tissue presses back, and how much it is strained, depends on the tissue
-within a jaw's width or so: its k_eq there, the flap's ends if near, its depth and the jaws' width. Both are laws
+within a jaw's width or so: its k_eq there, the flap's ends if near, its depth, the jaws' width. Both are laws
 
     log (N / (E w d c)) and log (eps_1% / c) = sum of weights times features
 
-where c is the compression over the height, w the jaws' width, d the flap's depth. `grip.json` has the weights;
-`python -m benchmarks.rod_grip` makes it and says how well they fit.
+where c is the compression over the height, w the jaws' width, d the flap's depth. `grip.json` has the
+weights; `python -m benchmarks.rod_grip` makes it and says how well they fit.
 
-While the flap moves, N changes with what the rod transmits on both sides of the jaws: tissue that is bent, or
-pushed along the flap, is thicker. The same file has these weights.
+While the flap moves, N changes with what the rod transmits on both sides of the jaws: tissue that is pushed
+along the flap is thicker, bent tissue thinner. The same file has these weights.
 
 Pressed tissue is pushed out of the jaws, to both sides. By how much follows from Betti's theorem: along the
-flap a force F thins it by nu F / (E d), so that a pair of forces N across it lengthens it by nu N / (E d), half on
-each side.
+flap a force F thins it by nu F / (E d), so that a pair of forces N across it lengthens it by nu N / (E d),
+half on each side.
 """
 
 from __future__ import annotations
@@ -41,11 +41,11 @@ FEATURES = (
     "deep log w", "log L", "c log w", "stiffness log w", "c stiffness",
 )  # fmt: skip
 SHAPE = 4
-"""Numbers of a law before its weights: decay of the kernel over k_eq, heights; share of half a jaw's width that
-counts in full; decay of what the free and the fixed end do, heights."""
+"""Numbers of a law before its weights: decay of the kernel over k_eq, heights; share of half a jaw's width
+that counts in full; decay of what the free and the fixed end do, heights."""
 
-# What is kept of a grip, as a row of numbers: log of the normal force over c E h d, and of eps_1% over c, each
-# as p + q c + r c^2; by how much tissue is pushed out to each side, heights; c;
+# What is kept of a grip, as a row of numbers: log of the normal force over c E h d, and of eps_1% over c,
+# each as p + q c + r c^2; by how much tissue is pushed out to each side, heights; c;
 # 1 on a bed
 NORMAL, STRAIN, PUSH, COMPRESSION, ON_BED = 0, 3, 6, 7, 8
 GRIP = 9
@@ -88,10 +88,10 @@ def features(flap, vertices, offsets, moduli, x, c, shape, out):
 POWER_OF_C = (0, 0, 1, 2, 0, 0, 0, 0, 0, 0, 0, 0, 1, 0, 1)
 """of each feature"""
 HELD = ("root", "stiff", "pushed", "free moment", "settled", "moment^2", "push")
-"""Weights of what depends on the flap's motion. root, stiff: the tissue at the jaws gives as much as a length of
-flap, root c - stiff heights, bends: it is held by its surfaces, but for some length not free to bend; pushed: part
-of nu N / 2 by which it is pushed out of the jaws; free moment: share of the free part's moment that reaches the
-jaws' tangential forces; the others: of the normal force, see `bearing`."""
+"""Weights of what depends on the flap's motion. root, stiff: the tissue at the jaws gives as much as a length
+of flap, root c - stiff heights, bends: it is held by its surfaces, but for some length not free to bend;
+pushed: part of nu N / 2 by which it is pushed out of the jaws; free moment: share of the free part's moment
+that reaches the jaws' tangential forces; the others: of the normal force, see `bearing`."""
 ROOT, STIFF, PUSHED, FREE_MOMENT, SETTLED, BENT, PUSHING = range(7)
 
 
@@ -129,11 +129,11 @@ def squeeze(kept, c):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def bearing(kept, held, inner_moment, free_moment, push):
-    """Normal force, E h d, while the jaws hold the flap in some pose. kept: a row of `grip`; held: the weights.
+    """Normal force, E h d, while the jaws hold the flap in some pose. kept: a row of `grip`; held: weights.
 
-    moments, E h^2 d: that the jaws do to both parts; push, E h d: along the flap, to the part towards the fixed end
-    less that to the free one. Pushed tissue is thicker, by Poisson's ratio, and bent tissue thinner, by its
-    square; the grip is the firmer for it as if the jaws were closed by as much.
+    moments, E h^2 d: that the jaws do to both parts; push, E h d: along the flap, to the part towards the
+    fixed end less that to the free one. Pushed tissue is thicker, by Poisson's ratio, and bent tissue
+    thinner, by its square; the grip is the firmer for it as if the jaws were closed by as much.
     """
     c = kept[COMPRESSION]
     thicker = held[BENT] * (inner_moment * inner_moment + free_moment * free_moment) + held[PUSHING] * push

@@ -14,24 +14,27 @@ from retract_env.rod.grip import COMPRESSION, FREE_MOMENT, ON_BED, bearing, sque
 from retract_env.rod.mechanics import CONTRACT, sine_cosine, strains
 
 COLUMNS = 2 * (FREE + INNER) + 1
-"""Sections whose places are told: those at nodes and half way between them, from the free to the fixed end."""
+"""Sections whose places are told: those at nodes and half way between them, from the free to the fixed
+end."""
 JAWS_COLUMN = 2 * FREE
 PINCH = 0.5
 """Heights along the flap over which its thinning by the jaws falls to 1/e."""
 THICKER = 1.0 / 12.0
-"""Mean stretch of both surfaces of a freely bent section, times its curvature squared: less than its axis's, as it
-is thicker on the pressed side."""
+"""Mean stretch of both surfaces of a freely bent section, times its curvature squared: less than its axis's,
+as it is thicker on the pressed side."""
 BISECTIONS = 16
 BENT, DRAGGED, SHARPNESS = 2.64, 1.2, 9
-"""eps_1% = (held^p + rod^p)^(1/p), with p the sharpness: the most strained tissue is that between the jaws or that
-elsewhere. What is held is squeezed, bent and sheared: held^2 = squeeze^2 + (BENT M)^2 + (DRAGGED T)^2 + ..., M the larger
-of the moments that the jaws do to both sides, E h^2 d, and T what they drag along the flap, E h d. (The surface of a
-bent flap is strained by 6 M, of which half counts.)"""
+"""eps_1% = (held^p + rod^p)^(1/p), with p the sharpness: the most strained tissue is that between the jaws or
+that elsewhere. What is held is squeezed, bent and sheared: held^2 = squeeze^2 + (BENT M)^2 + (DRAGGED T)^2 +
+..., M the larger of the moments that the jaws do to both sides, E h^2 d, and T what they drag along the flap,
+E h d. (The surface of a bent flap is strained by 6 M, of which half counts.) Of the set `fit`
+(benchmarks.rod_motions)."""
 INTO_BED, YIELDS, RELIEVED, PRESSED = 1.55, 2.2, 0.2, 1.85
-"""Jaws of which the lower one is d heights below the bed's surface press the tissue beside it onto the bed, which
-the rod's bed, soft as it is, does not feel: it pushes them up with INTO_BED d / (1 + YIELDS d) E h d, they press on
-the tissue between them with RELIEVED d less, and it is strained by PRESSED d. From random motions, all of them
-outside the limits; it is there so that nothing is gained by pressing the jaws into the bed."""
+"""Jaws of which the lower one is d heights below the bed's surface press the tissue beside it onto the bed,
+which the rod's bed, soft as it is, does not feel: it pushes them up with INTO_BED d / (1 + YIELDS d) E h d,
+they press on the tissue between them with RELIEVED d less, and it is strained by PRESSED d. From random
+motions, all of them outside the limits; it is there so that nothing is gained by pressing the jaws into the
+bed."""
 IN_BLOCK = 1e-3
 """Heights that tissue has to be inside the fixed block to count, as on finite elements."""
 
@@ -106,12 +109,12 @@ def _along(U, count, first, thinned, points):
 
 @njit(cache=True, nogil=True, fastmath=CONTRACT, error_model="numpy")
 def worst_strain(free, inner, Uf, Ui, work, out):
-    """eps_1% of each lane's rod, squeeze apart, into out (LANES,): the mean strain of the 1 % of volume that is
-    strained most.
+    """eps_1% of each lane's rod, squeeze apart, into out (LANES,): the mean strain of the 1 % of volume that
+    is strained most.
 
-    In an element the strain goes linearly over the height. The mean of what lies above a level t, over that share
-    of the volume, is the least over t of t + (mean of what exceeds t) / share; the best t is found by bisection.
-    work: at least (4 (FREE + INNER) + 4) LANES numbers.
+    In an element the strain goes linearly over the height. The mean of what lies above a level t, over that
+    share of the volume, is the least over t of t + (mean of what exceeds t) / share; the best t is found by
+    bisection. work: at least (4 (FREE + INNER) + 4) LANES numbers.
     """
     low, high, total = work[:LANES], work[LANES : 2 * LANES], work[2 * LANES : 3 * LANES]
     for l in range(LANES):
@@ -150,7 +153,8 @@ def worst_strain(free, inner, Uf, Ui, work, out):
 
 @njit(fastmath=CONTRACT, error_model="numpy")
 def _extremes(P, U, count, ends, high):
-    """Least and greatest strain over each element's height and its length into ends; the largest into high."""
+    """Least and greatest strain over each element's height and its length into ends; the largest into
+    high."""
     for e in range(count):
         V = U[3 * e * LANES : 3 * e * LANES + 6 * LANES]
         Q = ends[3 * e * LANES : 3 * e * LANES + 3 * LANES]
@@ -172,9 +176,9 @@ def _extremes(P, U, count, ends, high):
 def measure(pose, loads, kept, held, rod_strain, lane, out):
     """What one lane's jaws feel, and its eps_1%, into out (MEASURED,).
 
-    pose: rows x, y, theta and push; loads: of `move`; kept, held: its grip and the weights of `bearing`; rod_strain
-    (LANES,): of `worst_strain`. Forces come in E h d. The moment that the jaws carry by their tangential forces is
-    that about the middle between them.
+    pose: rows x, y, theta and push; loads: of `move`; kept, held: its grip and the weights of `bearing`;
+    rod_strain (LANES,): of `worst_strain`. Forces come in E h d. The moment that the jaws carry by their
+    tangential forces is that about the middle between them.
     """
     c, s = math.cos(pose[2 * LANES + lane]), math.sin(pose[2 * LANES + lane])
     compression, push = kept[COMPRESSION], pose[3 * LANES + lane]
@@ -226,8 +230,8 @@ def clear_of(height, points, sight, lane, out):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def tool_clearance(jaws, width, sight):
-    """Clearance, m, of the gripper's pads and stems, for jaws (4,) m; as `physics.measures.tool_outline` draws
-    them. width: m, of the jaws."""
+    """Clearance, m, of the gripper's pads and stems, for jaws (4,) m; as `physics.measures.tool_outline`
+    draws them. width: m, of the jaws."""
     long = math.hypot(jaws[2] - jaws[0], jaws[3] - jaws[1])
     ax, ay = (jaws[2] - jaws[0]) / long, (jaws[3] - jaws[1]) / long
     pad, stem = sight[PAD], sight[PAD] + sight[STEM]

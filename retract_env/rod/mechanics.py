@@ -14,16 +14,24 @@ Strains, with ' = d/ds:
     curvature                  k = theta'
 A fibre at height z stretches by e - z k.
 
+Slack. Where nothing pulls, the axis of a bent flap is longer than at rest: rubber is stiffer pressed than
+pulled (its stress goes as t - t^2 with the stretch t), and the pressed half is thicker, the pulled one
+thinner, by Poisson's ratio n, which moves the axis outwards. To second order in the curvature that stretch is
+b k^2 with
+    b = (1 + 3 n / 2) / 12
+for a section of plain tissue; for plane strain of rubber, where 1 + 3 n / 2 is 3, Rivlin's exact solution of
+flexure has the same. What strains a section is e' = e - b k^2.
+
 Energy per length, A, B, D and G the section's stiffness:
-    U = (A e^2 + 2 B e k + D k^2 + G g^2) / 2
-so that the normal force is N = A e + B k, the moment M = B e + D k, the shear force Q = G g.
+    U = (A e'^2 + 2 B e' k + D k^2 + G g^2) / 2
+so that the normal force is N = A e' + B k, the moment M = B e' + D k - 2 b k N, the shear force Q = G g.
 
 Along an element x', y' and theta' are constant, and theta is taken in its middle: one point of integration,
 which neither locks nor hourglasses.
 
-Weight acts on the axis. The bed y = 0 and the block x > 0, y < 1 that holds the fixed end push the flap's lower
-surface (z = -1/2) with a stiffness per length; the block along the shorter way out, so that nothing jumps at
-its corner.
+Weight acts on the axis. The bed y = 0 and the block x > 0, y < 1 that holds the fixed end push the flap's
+lower surface (z = -1/2) with a stiffness per length; the block along the shorter way out, so that nothing
+jumps at its corner.
 """
 
 from __future__ import annotations
@@ -86,7 +94,7 @@ def strains(dx, dy, sine, cosine):
 
 @njit(fastmath=CONTRACT, error_model="numpy")
 def energy(stretch, shear, bend, A, B, D, G, b):
-    """U, per length; bend is the curvature."""
+    """U, per length; bend is the curvature, b the slack."""
     stretch = stretch - b * bend * bend
     return 0.5 * (A * stretch * stretch + D * bend * bend + G * shear * shear) + B * stretch * bend
 
