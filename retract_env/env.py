@@ -323,7 +323,10 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
             self._stage.show(self.episode)
         terms = rules.reward_terms(before, episode.now, outcome)
         info = rules.info(episode.now, terms, outcome)
-        return self._observation(), sum(terms.values()), terminated, truncated, info
+        reward = 0.0
+        for term in terms.values():  # in turn: what `sum` makes of floats differs between Python's versions
+            reward += term
+        return self._observation(), reward, terminated, truncated, info
 
     def get_state(self) -> EnvState:
         """Where the environment stands, to be kept, pickled, and set any number of times.

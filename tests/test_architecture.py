@@ -30,8 +30,8 @@ LONGEST_FILE = 400
 # The rooms of each package from the ground up: a module imports from its own room and from those below it.
 FLOORS = {
     "retract_env": (
-        "errors", "threads", "config", "objectives", "grasp", "scene", "mesh", "spring", "fem", "rod",
-        "physics", "task", "rollout", "drawing", "env",
+        "errors", "threads", "compilation", "config", "objectives", "grasp", "scene", "mesh", "spring", "fem", "rod",
+        "physics", "task", "rollout", "drawing", "env", "vector",
     ),
     "planners": (
         "certify", "paths", "base", "effort", "proposals", "search", "deform_closure", "light_grip", "eased",

@@ -9,12 +9,7 @@ def kernels_are_cached(physics: str = "fem") -> bool:
 
     physics: any but "fem" needs the residual alone, which measures its states.
     """
-    from numba.core.registry import cpu_target
-
+    from retract_env.compilation import is_cached
     from retract_env.fem import kernels
 
-    # numba has no public way to ask. Its index is empty where it is of other sources or of another numba;
-    # an entry's key is a signature, the processor, and hashes of the code.
-    kernel = kernels.tangent if physics == "fem" else kernels.residual
-    here = cpu_target.target_context.codegen().magic_tuple()
-    return any(key[1] == here for key in kernel._cache._cache_file._load_index())
+    return is_cached(kernels.tangent if physics == "fem" else kernels.residual)

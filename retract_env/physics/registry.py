@@ -37,6 +37,8 @@ class PhysicsKind:
     """what it is made with unless told otherwise"""
     about: str
     """in a few words, for messages"""
+    vector: str | None = None
+    """"module:Class" of the environment that runs many at once, if there is one"""
     pictures: bool = False
     """whether it draws itself, with a method render_3d(width, height)"""
     needs: str = ""
@@ -113,6 +115,7 @@ PHYSICS = {
             "retract_env.physics.rod:RodPhysics",
             resolution="rod",
             about="a planar rod",
+            vector="retract_env.vector:TissueRetractVectorEnv",
         ),
     )
 }

@@ -6,6 +6,7 @@ docs/rod.md.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -19,16 +20,13 @@ from retract_env.mesh import SectionMesh, patch_ends
 from retract_env.physics.base import TissueState
 from retract_env.rod import block as rods
 from retract_env.rod import grip, measures
-from retract_env.rod.chain import LANES, LENGTH
-from retract_env.rod.flap import DEPTH, FREE, HEIGHT, INNER, MODULUS, SHORTEST
+from retract_env.rod.flap import FREE, INNER
+from retract_env.rod.section import ROWS, columns_of, section_of
 from retract_env.scene import Scene
 from retract_env.spring.columns import veins_of
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int32]
-
-ROWS = 3
-"""Points of a section that are told: of the lower surface, the axis, the upper surface."""
 
 
 def flap_numbers(scene: Scene) -> Array:
@@ -83,14 +81,15 @@ class RodPhysics:
         self._laws, self._held = laws()
         self._block = rods.new_block()
         self._block.flap[0], self._block.sight[0] = flap_numbers(scene), sight_numbers(scene)
-        self.section = _section(scene, jaw_x)
+        self._columns = columns_of(scene.tissue.length, scene.tissue.height, jaw_x)
+        self.section = _section(scene, self._columns)
         self._progress = 0.0
         self._state = self._lie()
 
     def _lie(self) -> TissueState:
         """The state at rest; the flap itself is left flat, from where its jaws close."""
         self._progress = 0.0
-        rods.hold(self._block, 0, self.jaw_x, *self._veins, self._laws)
+        rods.hold(self._block, 0, self.jaw_x, 0.0, *self._veins, self._laws, self._held)
         flat = rods.state_of(self._block, 0)
         self._go(self.jaw_x, self.scene.tissue.height / 2, 0.0)
         state = self._measured()
@@ -151,76 +150,28 @@ class RodPhysics:
         self._progress, self._state = state.progress, state.state
 
     def _measured(self) -> TissueState:
-        block = self._block
-        height = block.flap[0, HEIGHT]
-        out = block.measured[0].copy()
-        lower_x, lower_y, upper_x, upper_y = (
-            block.points.reshape(measures.COLUMNS, 4, LANES)[:, :, 0].T * height
-        )
-        points = np.empty((measures.COLUMNS, ROWS, 2))
-        points[:, 0, 0], points[:, 0, 1] = lower_x, lower_y
-        points[:, 2, 0], points[:, 2, 1] = upper_x, upper_y
-        points[:, 1] = (points[:, 0] + points[:, 2]) / 2
-        jaws = np.empty(4)
-        rods.jaws_in(block, 0, jaws)
-        axis = (jaws[2:] - jaws[:2]) / np.hypot(*(jaws[2:] - jaws[:2]))
-        along = np.array([axis[1], -axis[0]])
-        unit = block.flap[0, MODULUS] * height * block.flap[0, DEPTH]
-        press = unit * out[[measures.NORMAL_1, measures.NORMAL_2]] * [1, -1]
-        drag = unit * out[[measures.DRAG_1, measures.DRAG_2]]
-        strain, worst_at = self._strain()
+        out = self._block.measured[0].copy()
+        points, strain, jaws, reactions, spot = section_of(self._block, 0, self._columns, self.jaw_x)
+        along = (jaws[2:] - jaws[:2]) / math.hypot(jaws[2] - jaws[0], jaws[3] - jaws[1])
         return TissueState(
-            points=points.reshape(-1, 2),
+            points=points,
             strain=strain,
             jaws=jaws,
-            reactions=-(press[:, None] * axis + drag[:, None] * along),
-            normals=np.array([axis, -axis]),
+            reactions=reactions,
+            normals=np.array([along, -along]),
             worst_strain=float(out[measures.WORST]),
-            worst_at=worst_at,
-            required_friction=out[[measures.FRICTION_1, measures.FRICTION_2]],
+            worst_at=spot,
+            required_friction=out[measures.FRICTION_1 : measures.FRICTION_2 + 1],
             clearance=float(out[measures.CLEARANCE]),
             progress=self._progress,
             overlap=bool(out[measures.OVERLAP] > 0),
         )
 
-    def _strain(self) -> tuple[Array, Array]:
-        """Mean strain of each section triangle, and where at rest the flap is strained most, (2,) m."""
-        block, c = self._block, self._block.grip[0, grip.COMPRESSION]
-        parts = ((block.free, block.free_u), (block.inner, block.inner_u))
-        found = [_fibres(p.reshape(-1, LANES)[LENGTH, 0], u.reshape(-1, 3, LANES)[:, :, 0]) for p, u in parts]
-        stretch, bend = np.concatenate(found, axis=1)
-        low, middle, high = (np.abs(stretch - z * bend) for z in (-0.5, 0.0, 0.5))
-        lower, upper = (low + 2 * middle) / 3, (high + 2 * middle) / 3
-        x = self.section.points[1::ROWS, 0][1::2]  # of the elements' middles
-        height = self.scene.tissue.height
-        squeezed = c / (1 + ((x - self.jaw_x) / (measures.PINCH * height)) ** 2)
-        surface = np.maximum(low, high)
-        worst = int(surface.argmax())
-        at = np.array([x[worst], 0.0 if low[worst] > high[worst] else height])
-        if grip.squeeze(block.grip[0], c)[1] > surface[worst]:
-            at = np.array([self.jaw_x, 0.0])
-        return np.stack([np.maximum(lower, squeezed), np.maximum(upper, squeezed)], axis=1).ravel(), at
 
-
-def _fibres(length: float, unknowns: Array) -> Array:
-    """(2, elements) stretch of the axis and curvature. length: of an element, heights; unknowns: (n, 3)."""
-    dx, dy, turn = np.diff(unknowns, axis=0).T / length
-    middle = (unknowns[1:, 2] + unknowns[:-1, 2]) / 2
-    return np.array([np.cos(middle) * dx + np.sin(middle) * dy - 1, turn])
-
-
-def columns_of(length: float, height: float, jaw_x: float) -> Array:
-    """(COLUMNS,) where the sections are at rest that are told of, m, from the free end to the fixed one."""
-    left = min(-length, jaw_x - SHORTEST * height)
-    free = left + (jaw_x - left) * (np.arange(2 * FREE) / (2 * FREE))
-    inner = jaw_x * (1 - np.arange(2 * INNER + 1) / (2 * INNER))
-    return np.concatenate([free, inner])
-
-
-def _section(scene: Scene, jaw_x: float) -> SectionMesh:
-    """Two triangles an element. Veins are not followed: they are in the sections' stiffness."""
+def _section(scene: Scene, x: Array) -> SectionMesh:
+    """Two triangles an element, between sections at x (COLUMNS,) m. Veins are not followed: they are in the
+    sections' stiffness."""
     tissue = scene.tissue
-    x = columns_of(tissue.length, tissue.height, jaw_x)
     y = np.array([0.0, tissue.height / 2, tissue.height])
     points = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
     cell = 2 * ROWS * np.arange(FREE + INNER, dtype=np.int32)[:, None]

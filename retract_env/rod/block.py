@@ -38,12 +38,12 @@ from retract_env.rod.measures import (
     IN_SIGHT,
     MEASURED,
     SIGHT,
-    clear_of,
     measure,
     surfaces,
     tool_clearance,
     worst_strain,
 )
+from retract_env.rod.outline import outlines
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -130,22 +130,6 @@ def new_block() -> Block:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def hold(block, lane, x, vertices, offsets, moduli, laws):
-    """Let the flap of a lane lie flat between open jaws at x, m.
-
-    vertices, offsets, moduli: of its veins, see `retract_env.spring.columns`; laws: of `grip.load`.
-    """
-    flap, kept = block.flap[lane], block.grip[lane]
-    grip(flap, vertices, offsets, moduli, x, laws, kept)
-    kept[COMPRESSION] = 0.0
-    build(flap, vertices, offsets, moduli, x, 0.0, block.free, block.inner, lane)
-    lay_flat(block.free, block.free_u, FREE, x / flap[HEIGHT], lane)
-    lay_flat(block.inner, block.inner_u, INNER, 0.0, lane)
-    block.here[lane], block.here[LANES + lane] = x / flap[HEIGHT], 0.5
-    block.here[2 * LANES + lane] = block.here[3 * LANES + lane] = 0.0
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def close(block, lane, x, compression, vertices, offsets, moduli, held):
     """Have the jaws of a lane, which grasp at x, m, closed by a compression, over the height, from the next move
     on. held: of `grip.load`."""
@@ -154,6 +138,22 @@ def close(block, lane, x, compression, vertices, offsets, moduli, held):
     kept[PUSH] = held[PUSHED] * block.flap[lane, POISSON] / 2 * compression * math.exp(kept[NORMAL])
     root = max(held[ROOT] * compression - held[STIFF], 0.0)
     build(block.flap[lane], vertices, offsets, moduli, x, root, block.free, block.inner, lane)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def hold(block, lane, x, compression, vertices, offsets, moduli, laws, held):
+    """Let the flap of a lane lie flat between jaws at x, m, that close by a compression, over the height, with the
+    next move.
+
+    vertices, offsets, moduli: of its veins, see `retract_env.spring.columns`; laws, held: of `grip.load`.
+    """
+    flap, kept = block.flap[lane], block.grip[lane]
+    grip(flap, vertices, offsets, moduli, x, laws, kept)
+    close(block, lane, x, compression, vertices, offsets, moduli, held)
+    lay_flat(block.free, block.free_u, FREE, x / flap[HEIGHT], lane)
+    lay_flat(block.inner, block.inner_u, INNER, 0.0, lane)
+    block.here[lane], block.here[LANES + lane] = x / flap[HEIGHT], 0.5
+    block.here[2 * LANES + lane] = block.here[3 * LANES + lane] = 0.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -189,13 +189,13 @@ def advance(block, held):
         block.rod_strain[lane] = block.grip[lane, COMPRESSION]
     surfaces(block.free_u, block.inner_u, block.rod_strain, block.points)
     worst_strain(block.free, block.inner, block.free_u, block.inner_u, block.work, block.rod_strain)
+    outlines(block.points, block.flap, block.sight, block.done, block.measured)
     jaws = np.empty(4)
     for lane in range(LANES):
         block.todo[lane] = False
         if block.done[lane]:
             flap, sight, out = block.flap[lane], block.sight[lane], block.measured[lane]
             measure(block.here, block.loads, block.grip[lane], held, block.rod_strain, lane, out)
-            clear_of(flap[HEIGHT], block.points, sight, lane, out)
             if sight[IN_SIGHT] > 0.0:
                 jaws_in(block, lane, jaws)
                 out[CLEARANCE] = min(out[CLEARANCE], tool_clearance(jaws, flap[JAW_WIDTH], sight))

@@ -19,10 +19,10 @@ from retract_env.rod.chain import (
     SLACK,
     STIFFNESS,
     WEIGHT,
-    equilibrate,
     factor_rows,
     parameters_rows,
 )
+from retract_env.rod.equilibrium import equilibrate
 from retract_env.rod.sections import SHEAR, SLICES, moments
 
 FREE, INNER = 10, 16

@@ -40,7 +40,8 @@ IN_BLOCK = 1e-3
 
 # What is measured, as a row of numbers
 WORST, NORMAL_1, NORMAL_2, DRAG_1, DRAG_2, FRICTION_1, FRICTION_2, CLEARANCE, OVERLAP = range(9)
-MEASURED = 9
+FIRST_HIT, LAST_HIT, HIGHEST = 9, 10, 11
+MEASURED = 12
 # Where one looks from, as a row of numbers, m, and the tool if it hides what is behind it
 CAMERA_X, CAMERA_Y, TARGET_X, IN_SIGHT, PAD, STEM = range(6)
 SIGHT = 6
@@ -212,20 +213,6 @@ def above(sight, x, y):
     """How far (x, y), m, is above the line of sight; negative on the camera's side of it."""
     dx, dy = sight[CAMERA_X] - sight[TARGET_X], sight[CAMERA_Y]
     return ((x - sight[TARGET_X]) * dy - y * dx) / math.sqrt(dx * dx + dy * dy)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def clear_of(height, points, sight, lane, out):
-    """Clearance of one lane's lowest tissue, m, and whether any is inside the fixed block, into out."""
-    lowest, deepest = np.inf, -np.inf
-    for column in range(COLUMNS):
-        for surface in range(2):
-            at = (4 * column + 2 * surface) * LANES + lane
-            x, y = points[at], points[at + LANES]
-            lowest = min(lowest, above(sight, x * height, y * height))
-            deepest = max(deepest, min(x, 1.0 - y))
-    out[CLEARANCE] = lowest
-    out[OVERLAP] = 1.0 if deepest > IN_BLOCK else 0.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

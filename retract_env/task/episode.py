@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from retract_env.errors import Diverged, MeshError
-from retract_env.grasp import Grasp, JawPath, to_pose
+from retract_env.grasp import Grasp, JawPath
 from retract_env.physics.base import Physics, Restorable, TissueState
 from retract_env.physics.pool import PhysicsPool
 from retract_env.scene import Scene
@@ -99,7 +99,7 @@ class Episode:
         if self.grasp is None:
             self._close(actions.to_grasp(action, self.task.scene, self.task.config))
         else:
-            self._move(actions.moved(action, to_pose(self.now.state.jaws), self.task.config))
+            self._move(actions.moved(action, self._moves[-1][0], self.task.config))
         self.now = replace(self.now, steps=self.now.steps + 1)
 
     def take(self, grasp: Grasp | None) -> None:

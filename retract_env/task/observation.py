@@ -17,21 +17,17 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator
 
 from retract_env.config import Frozen, Listed, Range, one_of, refusal
-from retract_env.grasp import to_pose
 from retract_env.mesh import SectionMesh
 from retract_env.scene import Scene
 from retract_env.spring import columns
+from retract_env.task import rules
 from retract_env.task.config import TaskConfig
+from retract_env.task.rules import KEYPOINTS, STIFFNESS_SAMPLES
 from retract_env.task.situation import Situation
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 Ints = NDArray[np.integer[Any]]
-
-KEYPOINTS = 10
-"""Points of each surface that are observed, from the free end on, equally far apart at rest."""
-STIFFNESS_SAMPLES = 50
-"""Places along the flap, in the middle of as many equal parts of it, where k_eq is observed."""
 
 
 @dataclass(frozen=True)
@@ -110,54 +106,45 @@ class Observer:
         self._scene, self._steps = scene, config.steps
         self._low, self._high = bounds(config)
         tissue, line = scene.tissue, scene.line_of_sight
-        self._stations = -tissue.length * (1 - np.arange(KEYPOINTS) / KEYPOINTS)
         at = -tissue.length * (1 - (np.arange(STIFFNESS_SAMPLES) + 0.5) / STIFFNESS_SAMPLES)
         self._k_eq = columns.k_eq(tissue, at) * tissue.height / tissue.modulus
         distance = np.hypot(*np.subtract(line.camera, line.target))
-        self._sight = {
-            "target": line.target[0] / tissue.length,
-            "slope": line.slope,
-            "nearness": tissue.length / distance,
-        }
+        self._sight = np.array([line.target[0] / tissue.length, line.slope, tissue.length / distance])
+        limits = scene.limits
+        self._limits = np.array([limits.strain, limits.friction, limits.clearance])
         self._surfaces: tuple[SectionMesh, Ints, Ints] | None = None
 
     def __call__(self, now: Situation) -> Floats:
         """(SIZE,) as LAYOUT says."""
-        tissue, state, limits = self._scene.tissue, now.state, self._scene.limits
-        x, y, theta, separation = to_pose(state.jaws).tolist()
-        lower, upper = self._keypoints(now)
-        parts = self._sight | {
-            "holding": now.holding,
-            "time_left": 1 - now.steps / self._steps,
-            "gripper": np.array([x, y]) / tissue.length,
-            "angle": (np.sin(theta), np.cos(theta)),
-            "separation": separation / tissue.height,
-            "lower": lower / tissue.length,
-            "upper": upper / tissue.length,
-            "k_eq": self._k_eq,
-            "strain": state.worst_strain / limits.strain,
-            "max_strain": now.greatest_strain / limits.strain,
-            "friction": state.required_friction / limits.friction,
-            "max_friction": now.greatest_friction / limits.friction,
-            "clearance": state.clearance / tissue.length,
-            "exposure": now.exposure,
-        }
-        values = np.empty(SIZE)
-        for name, value in parts.items():
-            values[SLICES[name]] = value
-        return np.clip(values, self._low, self._high).astype(np.float32)
-
-    def _keypoints(self, now: Situation) -> tuple[Array, Array]:
-        """(2 KEYPOINTS,) m of the lower and of the upper surface."""
-        section, points = now.section, now.state.points
+        tissue, state, section = self._scene.tissue, now.state, now.section
         if self._surfaces is None or self._surfaces[0] is not section:
-            self._surfaces = section, *surface_nodes(section, self._scene.tissue.height)
-        found = []
-        for nodes in self._surfaces[1:]:
-            at = section.points[nodes, 0]
-            found.append([np.interp(self._stations, at, c) for c in points[nodes].T])
-        lower, upper = (np.stack(pair, axis=1).ravel() for pair in found)
-        return lower, upper
+            self._surfaces = section, *surface_nodes(section, tissue.height)
+        lower, upper = self._surfaces[1:]
+        points = np.empty(4 * KEYPOINTS)
+        for nodes, part in ((lower, points[: 2 * KEYPOINTS]), (upper, points[2 * KEYPOINTS :])):
+            rules.keypoints(section.points[nodes, 0], state.points[nodes], tissue.length, part)
+        out = np.empty(SIZE, np.float32)
+        rules.observe(
+            now.holding,
+            1 - now.steps / self._steps,
+            state.jaws,
+            tissue.length,
+            tissue.height,
+            points,
+            self._sight,
+            self._k_eq,
+            float(state.worst_strain),
+            now.greatest_strain,
+            *state.required_friction.tolist(),
+            now.greatest_friction,
+            float(state.clearance),
+            now.exposure,
+            self._limits,
+            self._low,
+            self._high,
+            out,
+        )
+        return out
 
 
 def surface_nodes(section: SectionMesh, height: float) -> tuple[Ints, Ints]:
@@ -198,7 +185,8 @@ class Sensors(Frozen):
     """Parts that are left out: observed as 0, the vector stays as long as it is."""
 
     @cached_property
-    def _deviation(self) -> Array:
+    def deviation(self) -> Array:
+        """(SIZE,) of the noise on every number."""
         out = np.zeros(SIZE)
         for name, deviation in self.noise:
             out[SLICES[name]] = deviation
@@ -211,7 +199,7 @@ class Sensors(Frozen):
             return exact
         seen = exact.copy()
         if self.noise:
-            blurred = exact + self._deviation * rng.standard_normal(SIZE)
+            blurred = exact + self.deviation * rng.standard_normal(SIZE)
             seen = np.clip(blurred, *bounds(config)).astype(np.float32)
         for name in self.hide:
             seen[SLICES[name]] = 0

@@ -16,12 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from retract_env.mesh import SectionMesh
-from retract_env.objectives import exposure, verdict
+from retract_env.objectives import verdict
 from retract_env.physics.base import TissueState
 from retract_env.scene import LineOfSight, Scene, Tissue
 from retract_env.task.config import TaskConfig
 from retract_env.task.observation import Observer
 from retract_env.task.rest import rest_section, rest_state
+from retract_env.task.rules import exposed_past
 from retract_env.task.situation import Situation
 
 
@@ -34,8 +35,10 @@ def default_scene() -> Scene:
 
 def sound(state: TissueState) -> bool:
     """Whether all of a state is a number; a needed friction may be infinite."""
-    numbers = (state.points, state.strain, state.jaws, state.reactions, state.worst_strain, state.clearance)
-    return all(np.isfinite(n).all() for n in numbers) and not np.isnan(state.required_friction).any()
+    # a sum is a number only if all of its terms are; to look at each takes ten times as long
+    total = state.points.sum() + state.strain.sum() + state.jaws.sum() + state.reactions.sum()
+    one, other = state.required_friction
+    return math.isfinite(total + state.worst_strain + state.clearance) and not math.isnan(max(one, other))
 
 
 @dataclass(frozen=True)
@@ -88,7 +91,7 @@ class RetractionTask:
     def _situation(self, section: SectionMesh, state: TissueState) -> Situation:
         line = self.scene.line_of_sight
         outline = state.points[section.boundary]
-        seen = exposure(outline, line.camera, line.target, -self.scene.tissue.length)
+        seen = exposed_past(outline, *line.camera, line.target[0], -self.scene.tissue.length)
         return Situation(section, state, seen)
 
     # --- What has become of it

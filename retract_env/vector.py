@@ -1,0 +1,387 @@
+"""Many flaps at once: the retraction task on rods as Gymnasium's vector environment.
+
+The flaps are computed side by side (`retract_env.task.lanes`), on all cores. This file is the shell around it:
+arguments, spaces, seeds, threads, what infos look like.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from gymnasium.error import ResetNeeded
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+from numpy.typing import ArrayLike, NDArray
+
+from retract_env.env import Settings, read_grasp, read_scene
+from retract_env.errors import Diverged, SceneError
+from retract_env.grasp import Grasp
+from retract_env.physics.registry import physics_kind
+from retract_env.scene import Scene
+from retract_env.scene.pcg64 import state_of
+from retract_env.scene.sampling import SceneRanges
+from retract_env.task import Sensors, TaskConfig, actions
+from retract_env.task.arrays import (
+    COST,
+    COST_FRICTION,
+    COST_STRAIN,
+    EXPOSURE,
+    FAILURE,
+    MOST_FRICTION,
+    MOST_STRAIN,
+    REWARD_TERMS,
+    SUCCESS,
+    TO_LINE,
+)
+from retract_env.task.batch import (
+    act_range,
+    advance_range,
+    begin_range,
+    settle_range,
+    show_range,
+    take_range,
+)
+from retract_env.task.episode import spring_grasps
+from retract_env.task.flaps import Flaps, Workers, cores
+from retract_env.task.observation import bounds
+from retract_env.task.rules import FAILURES, TERMS
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+MODES = {AutoresetMode.NEXT_STEP: 0, AutoresetMode.SAME_STEP: 1, AutoresetMode.DISABLED: 2}
+"""As the kernels know them."""
+_NAMES = np.array(FAILURES, dtype=object)
+
+
+class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
+    """
+    ## Description
+
+    `TissueRetractRod-v0` for many flaps at once, in one process and on all cores:
+    `gym.make_vec("TissueRetractRod-v0", num_envs=1024, scene="random")`. Task, spaces, rewards and infos are those
+    of `TissueRetractEnv` with `physics="rod"`. Environment k is the same, to the last bit, whatever `num_envs` and
+    the number of threads are, and the same as a single one with its seed.
+
+    ## Arguments
+
+    Those of the single environment, but for pixels and rendering, and:
+
+    - `num_envs`: how many.
+    - `autoreset_mode` (`"NextStep"`): `gymnasium.vector.AutoresetMode`, or its value. With `"SameStep"` the last
+      observation and info of an episode are in `infos["final_obs"]` and `infos["final_info"]`. With `"Disabled"`
+      nothing begins anew by itself: `reset(options={"reset_mask": (num_envs,) bool})` does it.
+    - `threads` (`None`): how many compute; None is one a core that this process may use.
+
+    ## Reset
+
+    `reset(seed=...)`: an int seeds environment k with seed + k; a list has a seed, or None, for each. Without
+    a seed the generators go on. `options`: `scene`, `grasp` and `line_of_sight` as the single environment has
+    them, for all environments that are reset, and `reset_mask`. `set_scene` puts any scene into any slot, for good.
+
+    ## Look-ahead
+
+    `get_state()` copies where all environments stand, generators too, and `set_state` returns there, any number of
+    times; `state.repeated(k, n)` is the state of n environments like the k-th, to try n continuations at once.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        physics: str = "rod",
+        scene: str | Mapping[str, Any] | Scene | None = None,
+        grasp: str | Mapping[str, float] = "agent",
+        resolution: str | None = None,
+        obs: str = "state",
+        render_mode: None = None,
+        task: Mapping[str, Any] | TaskConfig | None = None,
+        ranges: Mapping[str, Any] | SceneRanges | None = None,
+        sensors: Mapping[str, Any] | Sensors | None = None,
+        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        threads: int | None = None,
+    ):
+        """Raises ValueError (ConfigError) for what is not allowed."""
+        for name, value, allowed in (
+            ("physics", physics, ("rod",)),
+            ("resolution", resolution, (None, *physics_kind("rod").resolutions)),
+            ("obs", obs, ("state",)),
+            ("render_mode", render_mode, (None,)),
+            ("autoreset_mode", autoreset_mode, (*MODES, *(mode.value for mode in MODES))),
+        ):
+            if value not in allowed:
+                raise ValueError(f"{name} = {value!r}, allowed {', '.join(str(a) for a in allowed)}")
+        for name, number in (("num_envs", num_envs), ("threads", threads)):
+            if number is not None and (isinstance(number, bool) or number != int(number) or number < 1):
+                raise ValueError(f"{name} = {number!r}, allowed a whole number from 1 on")
+        self.num_envs = int(num_envs)
+        given = {"task": task, "ranges": ranges, "sensors": sensors}
+        settings = Settings.from_data({name: value for name, value in given.items() if value is not None})
+        self.task_config, self._ranges, self._sensors = settings.task, settings.ranges, settings.sensors
+        source, self._grasp = read_scene(scene), read_grasp(grasp)
+        if ranges is not None and source != "random":
+            raise ValueError("ranges: allowed with scene = 'random' alone")
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
+        self.render_mode = None
+        low, high = bounds(self.task_config)
+        self.single_action_space = spaces.Box(-1.0, 1.0, (actions.SIZE,), np.float32)
+        self.single_observation_space = spaces.Box(low, high, dtype=np.float32)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self._flaps = Flaps(self.num_envs, self.task_config, self._ranges, self._sensors)
+        self._sources: list[Scene | str] = [source] * self.num_envs
+        self._seeds: list[int | None] = [None] * self.num_envs
+        self._special = np.ones(self.num_envs, np.bool_)
+        """whose next episode has to be prepared: at first, and where the one under way was an exception"""
+        self._begun = np.zeros(self.num_envs, np.bool_)
+        self._plain = np.full(self.num_envs, MODES[AutoresetMode.DISABLED], np.int8)
+        self._workers = Workers(threads or cores())
+
+    # --- Episodes
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: Mapping[str, Any] | None = None,
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Begin an episode everywhere, or where options["reset_mask"] says; see the class.
+
+        Raises ValueError for other options, Diverged where a grasp that was asked for cannot be squeezed.
+        """
+        options = dict(options or {})
+        mask = self._mask(options.pop("reset_mask", None))
+        if unknown := set(options) - {"scene", "grasp", "line_of_sight"}:
+            raise ValueError(f"options: unknown {', '.join(sorted(unknown))}")
+        source = read_scene(options["scene"]) if "scene" in options else None
+        grasp = read_grasp(options["grasp"]) if "grasp" in options else None
+        for k, one in zip(np.flatnonzero(mask), self._each_seed(seed)[mask], strict=True):
+            if one is not None or self._seeds[k] is None:
+                generator, self._seeds[k] = seeding.np_random(one)
+                self._flaps.lanes.rng[k] = state_of(generator)
+            if options or self._special[k]:
+                self._prepare(int(k), source, options.get("line_of_sight"), grasp)
+        self._begin(mask)
+        self._begun |= mask
+        return self._flaps.told.observation.copy(), infos_of(self._flaps.told.info, mask)
+
+    def step(self, actions: ArrayLike) -> tuple[NDArray[np.float32], Array, Flags, Flags, dict[str, Any]]:
+        """One step of all. Raises ValueError for what are no actions, ResetNeeded before the first reset, and for
+        environments that are over where nothing begins anew by itself."""
+        chosen = self._checked(actions)
+        flaps, told, over = self._flaps, self._flaps.told, self._flaps.lanes.over
+        if not self._begun.all():
+            raise ResetNeeded("reset the environments first")
+        if self.autoreset_mode == AutoresetMode.DISABLED and over.any():
+            which = ", ".join(map(str, np.flatnonzero(over)[:5]))
+            raise ResetNeeded(f"environments that are over, {which}: reset them with reset_mask first")
+        modes = np.full(self.num_envs, MODES[self.autoreset_mode], np.int8)
+        if self.autoreset_mode == AutoresetMode.NEXT_STEP:
+            for k in np.flatnonzero(over & self._special):
+                self._prepare(int(k))
+        elif self._special.any():
+            modes[self._special] = MODES[AutoresetMode.DISABLED]
+        self._workers.run(act_range, flaps, chosen, modes)
+        self._workers.run(advance_range, flaps)
+        self._workers.run(settle_range, flaps, False)
+        self._workers.run(show_range, flaps, ~told.renewed, modes)
+        if told.renewed.any():
+            self._begin(told.renewed)
+        ended = told.terminated | told.truncated
+        late = ended & self._special if self.autoreset_mode == AutoresetMode.SAME_STEP else None
+        if late is not None and late.any():
+            told.last_observation[late], told.last_info[late] = told.observation[late], told.info[late]
+            for k in np.flatnonzero(late):
+                self._prepare(int(k))
+            self._begin(late)
+        infos = infos_of(told.info, np.ones(self.num_envs, np.bool_))
+        if self.autoreset_mode == AutoresetMode.SAME_STEP and ended.any():
+            last = np.full(self.num_envs, None, dtype=object)
+            for k in np.flatnonzero(ended):
+                last[k] = told.last_observation[k].copy()
+            infos |= {"final_obs": last, "_final_obs": ended.copy()}
+            infos |= {"final_info": infos_of(told.last_info, ended), "_final_info": ended.copy()}
+        return (
+            told.observation.copy(),
+            told.reward.copy(),
+            told.terminated.copy(),
+            told.truncated.copy(),
+            infos,
+        )
+
+    def set_scene(self, k: int, scene: str | Mapping[str, Any] | Scene | None) -> None:
+        """Give environment k this scene, "random" for a new one each time, from its next episode on."""
+        self._sources[k] = read_scene(scene)
+        self._special[k] = True
+
+    def _prepare(
+        self,
+        k: int,
+        source: Scene | str | None = None,
+        line: Any = None,
+        grasp: Grasp | str | None = None,
+    ) -> None:
+        """Have environment k's next episode begin on what is given, else on what is its own."""
+        scene = source or self._sources[k]
+        grip = grasp or self._grasp
+        self._special[k] = source is not None or line is not None or grasp is not None
+        if scene == "random" and (line is not None or grip == "spring"):
+            # drawn here, as the single environment draws it
+            scene = self._flaps.sample(k, self._ranges)
+            self._special[k] = True
+        if line is not None and isinstance(scene, Scene):
+            scene = Scene.from_data(scene.dump() | {"line_of_sight": line})
+        if isinstance(scene, Scene):
+            self._flaps.put(k, scene)
+            if grip == "spring":
+                grip = spring_grasps(scene)[0]
+            if isinstance(grip, Grasp):
+                grip.check_inside(scene.tissue.length, scene.tissue.height)
+        else:
+            self._flaps.put_random(k)
+        self._flaps.lanes.given[k] = (grip.x, grip.compression) if isinstance(grip, Grasp) else np.nan
+
+    def _begin(self, mask: Flags) -> None:
+        flaps, told = self._flaps, self._flaps.told
+        told.renewed[:], told.failed[:] = mask, False
+        self._workers.run(begin_range, flaps)
+        if not np.isnan(flaps.lanes.given[mask]).all():
+            self._workers.run(take_range, flaps)
+            self._workers.run(advance_range, flaps)
+            self._workers.run(settle_range, flaps, True)
+        self._check(told.failed)
+        self._workers.run(show_range, flaps, told.renewed, self._plain)
+
+    def _check(self, failed: Flags) -> None:
+        if failed.any():
+            k = int(failed.argmax())
+            if np.isnan(self._flaps.lanes.given[k, 0]):
+                raise SceneError(f"environment {k}: no room for the veins of a random flap")
+            raise Diverged(f"environment {k}: the grasp could not be squeezed")
+
+    def _mask(self, mask: Any) -> Flags:
+        if mask is None:
+            return np.ones(self.num_envs, np.bool_)
+        mask = np.asarray(mask)
+        if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
+            raise ValueError(
+                f"options['reset_mask'] allowed ({self.num_envs},) bool, at least one of them True"
+            )
+        return mask
+
+    def _each_seed(self, seed: int | Sequence[int | None] | None) -> NDArray[Any]:
+        if seed is None:
+            each: list[int | None] = [None] * self.num_envs
+        elif isinstance(seed, int | np.integer):
+            each = [int(seed) + k for k in range(self.num_envs)]
+        else:
+            each = list(seed)
+        if len(each) != self.num_envs:
+            raise ValueError(f"seed has {len(each)} numbers, allowed {self.num_envs}")
+        out = np.empty(self.num_envs, dtype=object)
+        out[:] = each
+        return out
+
+    def _checked(self, given: ArrayLike) -> Array:
+        numbers = np.asarray(given, dtype=np.float64)
+        if numbers.shape != (self.num_envs, actions.SIZE):
+            raise ValueError(f"actions have shape {numbers.shape}, allowed ({self.num_envs}, {actions.SIZE})")
+        if not np.isfinite(numbers).all():
+            k = int(np.flatnonzero(~np.isfinite(numbers).all(axis=1))[0])
+            raise ValueError(f"action of environment {k} = {numbers[k].tolist()}, allowed finite numbers")
+        return np.clip(numbers, -1.0, 1.0)
+
+    # --- Look-ahead
+
+    def get_state(self) -> VectorState:
+        """Where all stand. Raises ResetNeeded before the first reset."""
+        if not self._begun.all():
+            raise ResetNeeded("reset the environments first")
+        return VectorState(
+            self.task_config,
+            self._flaps.state(),
+            tuple(self._sources),
+            tuple(self._seeds),
+            self._special.copy(),
+        )
+
+    def set_state(self, state: VectorState) -> None:
+        """Have all go on from there; raises TypeError for no state, ValueError for one of others or of another
+        task."""
+        if not isinstance(state, VectorState):
+            raise TypeError(f"state is a {type(state).__name__}, allowed a VectorState")
+        if len(state.sources) != self.num_envs:
+            raise ValueError(f"state of {len(state.sources)} environments, allowed {self.num_envs}")
+        if state.task != self.task_config:
+            raise ValueError("state: of another task")
+        self._flaps.set_state(state.arrays)
+        self._sources, self._seeds = list(state.sources), list(state.seeds)
+        self._special[:] = state.special
+        self._begun[:] = True
+
+    @property
+    def np_random_seed(self) -> tuple[int | None, ...]:  # type: ignore[override]
+        """The seed of each, None where it has not been reset."""
+        return tuple(self._seeds)
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """End the threads; a later step starts them anew."""
+        self._workers.close()
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class VectorState:
+    """Where n environments stood. It can be pickled; not to be changed."""
+
+    task: TaskConfig
+    arrays: dict[str, NDArray[Any]]
+    """what each is made of, by name, n rows each"""
+    sources: tuple[Scene | str, ...]
+    seeds: tuple[int | None, ...]
+    special: Flags
+
+    def repeated(self, k: int, n: int) -> VectorState:
+        """The state of n environments that all stand where the k-th does."""
+        arrays = {name: np.repeat(array[k : k + 1], n, axis=0) for name, array in self.arrays.items()}
+        special = np.full(n, self.special[k])
+        return VectorState(self.task, arrays, (self.sources[k],) * n, (self.seeds[k],) * n, special)
+
+
+def infos_of(rows: Array, mask: Flags) -> dict[str, Any]:
+    """Infos as `gymnasium.vector` has them, from rows (n, INFO); mask: (n,) which environments have any."""
+
+    def told(values: NDArray[Any], kind: Any = np.float64) -> NDArray[Any]:
+        out = values.astype(kind)
+        out[~mask] = kind()
+        return out
+
+    failure = np.where(mask, _NAMES[rows[:, FAILURE].astype(np.int64)], None)
+    cost = {"strain": told(rows[:, COST_STRAIN]), "friction": told(rows[:, COST_FRICTION])}
+    terms = {name: told(rows[:, REWARD_TERMS + i]) for i, name in enumerate(TERMS)}
+    plain = {
+        "is_success": told(rows[:, SUCCESS], np.bool_),
+        "failure": failure,
+        "cost": told(rows[:, COST]),
+        "cost_terms": _masked(cost, mask),
+        "max_strain": told(rows[:, MOST_STRAIN]),
+        "required_friction": told(rows[:, MOST_FRICTION]),
+        "clearance": told(rows[:, TO_LINE]),
+        "exposure": told(rows[:, EXPOSURE]),
+        "reward_terms": _masked(terms, mask),
+    }
+    return _masked(plain, mask)
+
+
+def _masked(values: Mapping[str, Any], mask: Flags) -> dict[str, Any]:
+    out: dict[str, Any] = {}
+    for name, value in values.items():
+        out[name], out[f"_{name}"] = value, mask.copy()
+    return out
