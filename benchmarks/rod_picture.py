@@ -123,6 +123,6 @@ def _flaps(axes: Any, pair: Pair, label: str) -> None:
     veins = len(pair.scene.tissue.veins)
     squeezed = 100 * pair.grasp[1] / pair.scene.tissue.height
     axes.set_title(
-        f"{label}: {pair.kind}, {veins} vein{'s' * (veins != 1)}, squeezed by {squeezed:.0f} %\n"
-        f"clearance off by {100 * errors[at - pair.common.start]:+.2f} % of the length"
+        f"{label}: {pair.kind}, {veins} vein{'s' * (veins != 1)},\nsqueezed by {squeezed:.0f} %, "
+        f"clearance\noff by {100 * errors[at - pair.common.start]:+.2f} % of the length"
     )

@@ -21,9 +21,9 @@ LANES = 16
 """Chains side by side. LLVM vectorises loops of fewer rounds only where it can prove that no two arrays overlap."""
 
 # Rows of a chain's parameters
-LENGTH, WEIGHT, BED, BLOCK, LOAD, SLACK = 0, 1, 2, 3, 4, 7
-"""Of an element, h; per length; stiffness of bed and block per length; force (2) and moment at a free end;
-slack, b of `mechanics`."""
+LENGTH, WEIGHT, BED, BLOCK, SLACK, LOAD = 0, 1, 2, 3, 4, 5
+"""Of an element, h; per length; stiffness of bed and block per length; b of `mechanics`; force (2) and moment
+at a free end."""
 STIFFNESS = 8
 """A, B, D and G of element e are in rows STIFFNESS + 4 e and following."""
 
