@@ -66,7 +66,7 @@ def _side_by_side(courses: Sequence[Course], laws: Array, held: Array) -> list[F
     veins = [veins_of(course.scene.tissue) for course in courses]
     for lane, course in enumerate(courses):
         block.flap[lane], block.sight[lane] = flap_numbers(course.scene), sight_numbers(course.scene)
-        rods.hold(block, lane, course.x, *veins[lane], laws)
+        rods.hold(block, lane, course.x, 0.0, *veins[lane], laws, held)
     rows: list[list[tuple[Array, ...]]] = [[] for _ in courses]
     going = [True] * len(courses)
     closed = [0.0] * len(courses)
