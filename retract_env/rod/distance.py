@@ -12,6 +12,8 @@ narrower jaws in depth, and paths that a planner has chosen because the rod like
 motions share a flap, so the level is not exact for motions; it is for whole flaps, of which the worst motion
 counts: unit "flap". Each margin holds by itself; all three hold at once with at least 1 - 3 (1 - level).
 
+The rod's numbers come from other motions, but its form was chosen with these in sight (docs/rod.md).
+
 `python -m benchmarks.rod_distance` makes distance.json and says what share of other motions the margins
 cover.
 """

@@ -34,10 +34,10 @@ SHORTEST = 0.02
 were."""
 STRETCHED_ROOT = 0.13
 """Length of flap, heights, that stretches as much as the tissue that the jaws hold by its surfaces gives. Of
-the set `fit` (benchmarks.rod_motions); 0.1 to 0.16 do as well."""
+the set `fit` (benchmarks.rod_motions); 0.12 to 0.14 do as well."""
 SLACKENS = 0.74
 """Share of the slack of a bent section (`mechanics`) that a flap has: jaws and fixed end hold its thickness.
-Of the set `fit`; 0.7 to 0.8 do as well."""
+Of the set `fit`; 0.7 to 0.78 do as well."""
 PLANE = 3.0
 """Depth over height at which half of the way is made from a narrow flap, whose fibres contract freely, to a
 deep one, whose fibres cannot contract along the depth."""
