@@ -26,11 +26,12 @@ from retract_env.rod.flap import (
     INNER_UNKNOWNS,
     JAW_WIDTH,
     NUMBERS,
+    POISSON,
     build,
     lay_flat,
     move,
 )
-from retract_env.rod.grip import COMPRESSION, GRIP, PUSH, ROOT, grip, squeeze
+from retract_env.rod.grip import COMPRESSION, GRIP, NORMAL, PUSH, PUSHED, ROOT, STIFF, grip
 from retract_env.rod.measures import (
     CLEARANCE,
     COLUMNS,
@@ -133,7 +134,9 @@ def close(block, lane, x, compression, vertices, offsets, moduli, held):
     """Have the jaws of a lane, which grasp at x, m, closed by a compression, over the height, from the next move
     on. held: of `grip.load`."""
     block.grip[lane, COMPRESSION] = compression
-    root = held[ROOT] * compression
+    kept = block.grip[lane]
+    kept[PUSH] = held[PUSHED] * block.flap[lane, POISSON] / 2 * compression * math.exp(kept[NORMAL])
+    root = max(held[ROOT] * compression - held[STIFF], 0.0)
     build(block.flap[lane], vertices, offsets, moduli, x, root, block.free, block.inner, lane)
 
 
@@ -156,10 +159,10 @@ def hold(block, lane, x, compression, vertices, offsets, moduli, laws, held):
 @njit(cache=True, nogil=True, error_model="numpy")
 def aim(block, lane, x, y, theta):
     """Have the jaws of a lane move to x, y, m, and theta, rad, next."""
-    height, kept = block.flap[lane, HEIGHT], block.grip[lane]
+    height = block.flap[lane, HEIGHT]
     block.goal[lane], block.goal[LANES + lane] = x / height, y / height
     block.goal[2 * LANES + lane] = theta
-    block.goal[3 * LANES + lane] = kept[PUSH] * squeeze(kept, kept[COMPRESSION])[0]
+    block.goal[3 * LANES + lane] = block.grip[lane, PUSH]
     block.todo[lane] = True
 
 
