@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from retract_env.compilation import forget_old, is_cached
+
+forget_old()
+
 
 def kernels_are_cached(physics: str = "fem") -> bool:
     """Whether numba has on disk, compiled for this processor from these sources, what a physics needs of the
@@ -9,7 +13,6 @@ def kernels_are_cached(physics: str = "fem") -> bool:
 
     physics: any but "fem" needs the residual alone, which measures its states.
     """
-    from retract_env.compilation import is_cached
     from retract_env.fem import kernels
 
     return is_cached(kernels.tangent if physics == "fem" else kernels.residual)

@@ -15,7 +15,7 @@ from retract_env.task.rules import TERMS
 
 Array = NDArray[np.float64]
 
-INSIDE = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+INSIDE = {"error_model": "numpy", "forceinline": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 """How functions are compiled that only compiled code calls: half of the time went into ways to call them."""
 
 

@@ -62,7 +62,7 @@ def test_one_that_is_added_is_known_everywhere(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setitem(PHYSICS, "still", STILL)
     assert TissueRetractEnv("still").spec is None
     assert EnvSettings(physics="still").physics == "still"
-    with pytest.raises(ValueError, match=r"^physics = 'jelly', allowed bullet, fem, still$"):
+    with pytest.raises(ValueError, match=r"^physics = 'jelly', allowed bullet, fem, rod, still$"):
         TissueRetractEnv("jelly")
 
 
