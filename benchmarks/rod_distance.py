@@ -333,6 +333,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "--picture", action="store_true", help="draw docs/images/rod_distance.png, by fine solves"
     )
     options = parser.parse_args(arguments)
+    missing = [name for name in ("calibration", "test", "wide") if not stored(name)]
+    if missing:
+        sys.exit(f"nothing on disk of {', '.join(missing)}: python -m benchmarks.rod_motions makes it")
     progress("following the sets on the rod")
     calibration, test, wide = (pairs(name) for name in ("calibration", "test", "wide"))
     for name, found in (("calibration", calibration), ("test", test), ("wide", wide)):
