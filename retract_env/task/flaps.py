@@ -33,8 +33,7 @@ class Flaps:
 
     def __init__(self, n: int, task: TaskConfig, ranges: SceneRanges, sensors: Sensors):
         blocks = -(-n // LANES)
-        one = new_block()
-        self.blocks = Block(*(np.repeat(array[None], blocks, axis=0) for array in one))
+        self.blocks = _repeated(new_block(), blocks)
         weights = task.weights.model_dump()
         low, high = bounds(task)
         hidden = np.zeros(SIZE, np.bool_)
@@ -176,6 +175,11 @@ class Flaps:
             array[...] = by_lane if array.ndim == 3 else by_lane.transpose(0, 2, 1).reshape(len(array), -1)
 
 
+def _repeated(block: Block, count: int) -> Block:
+    many: tuple[Any, ...] = tuple(np.repeat(array[None], count, axis=0) for array in block)
+    return Block(*many)
+
+
 class Workers:
     """Threads that share the blocks of `Flaps` among them."""
 
@@ -190,13 +194,13 @@ class Workers:
         threads = min(self.threads, count)
         ends = [count * k // threads for k in range(threads + 1)]
         ranges = list(zip(ends[:-1], ends[1:], strict=True))
-        common = flaps.blocks, flaps.lanes, flaps.rules, flaps.told
+        common: tuple[Any, ...] = flaps.blocks, flaps.lanes, flaps.rules, flaps.told
         if threads == 1:
             kernel(*common, 0, count, *arguments)
             return
         if self._pool is None or self._process != os.getpid():  # a forked process has no threads
             self._pool, self._process = ThreadPoolExecutor(self.threads - 1), os.getpid()
-        waiting = [self._pool.submit(kernel, *common, *ends, *arguments) for ends in ranges[1:]]
+        waiting = [self._pool.submit(kernel, *common, *part, *arguments) for part in ranges[1:]]
         kernel(*common, *ranges[0], *arguments)
         for one in waiting:
             one.result()
