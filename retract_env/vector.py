@@ -45,6 +45,7 @@ from retract_env.task.batch import (
     begin_range,
     settle_range,
     show_range,
+    take_range,
 )
 from retract_env.task.episode import spring_grasps
 from retract_env.task.flaps import Flaps, Workers, cores
@@ -141,6 +142,7 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
         self._special = np.ones(self.num_envs, np.bool_)
         """whose next episode has to be prepared: at first, and where the one under way was an exception"""
         self._begun = np.zeros(self.num_envs, np.bool_)
+        self._plain = np.full(self.num_envs, MODES[AutoresetMode.DISABLED], np.int8)
         self._workers = Workers(threads or cores())
 
     # --- Episodes
@@ -189,7 +191,8 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
             modes[self._special] = MODES[AutoresetMode.DISABLED]
         self._workers.run(act_range, flaps, chosen, modes)
         self._workers.run(advance_range, flaps)
-        self._workers.run(settle_range, flaps, modes)
+        self._workers.run(settle_range, flaps, False)
+        self._workers.run(show_range, flaps, ~told.renewed, modes)
         if told.renewed.any():
             self._begin(told.renewed)
         ended = told.terminated | told.truncated
@@ -251,9 +254,11 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
         told.renewed[:], told.failed[:] = mask, False
         self._workers.run(begin_range, flaps)
         if not np.isnan(flaps.lanes.given[mask]).all():
+            self._workers.run(take_range, flaps)
             self._workers.run(advance_range, flaps)
-        self._workers.run(show_range, flaps)
+            self._workers.run(settle_range, flaps, True)
         self._check(told.failed)
+        self._workers.run(show_range, flaps, told.renewed, self._plain)
 
     def _check(self, failed: Flags) -> None:
         if failed.any():

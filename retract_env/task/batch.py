@@ -1,6 +1,7 @@
-"""One step of many environments on rods, in four rounds: each is compiled code that a thread runs on its blocks.
+"""One step of many environments on rods, in rounds: each is compiled code that a thread runs on its blocks.
 
-Rounds, so that what takes longest to compile, the equilibrium, is compiled into one of them alone.
+In rounds, so that nothing that takes long to compile is compiled into two of them. They all take the same
+arguments first, whether they need them or not.
 """
 
 from __future__ import annotations
@@ -13,8 +14,7 @@ from numba import njit
 from retract_env.rod.block import Block, advance
 from retract_env.rod.chain import LANES, SCRATCH
 from retract_env.rod.flap import FACTORS, FREE, INNER
-from retract_env.task import lanes as episodes
-from retract_env.task.lanes import begin, hold_on, look, settle, take
+from retract_env.task.lanes import act, begin, hold_on, look, settle, take
 from retract_env.task.shown import observe_now, tell
 
 NEXT_STEP, SAME_STEP, DISABLED = range(3)
@@ -66,7 +66,7 @@ def act_range(blocks, lanes, rules, told, first, last, actions, modes):
             if told.renewed[i]:
                 told.reward[i], told.terminated[i], told.truncated[i] = 0.0, False, False
             else:
-                episodes.act(lanes, rules, block, i, actions[i])
+                act(lanes, rules, block, i, actions[i])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -83,16 +83,31 @@ def advance_range(blocks, lanes, rules, told, first, last):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def settle_range(blocks, lanes, rules, told, first, last, modes):
-    """What the step has led to in blocks first to last, exclusive, into told.
+def settle_range(blocks, lanes, rules, told, first, last, fresh):
+    """What the step has led to in blocks first to last, exclusive; with fresh, what closing a given grasp has led
+    to in new episodes."""
+    for b in range(first, last):
+        block = _borrowed(blocks, b)
+        for i in range(b * LANES, min((b + 1) * LANES, len(lanes.steps))):
+            if not fresh and not told.renewed[i]:
+                settle(lanes, rules, block, i, told)
+            elif fresh and told.renewed[i] and not math.isnan(lanes.given[i, 0]) and not told.failed[i]:
+                told.failed[i] = not block.done[i % LANES]
+                if block.done[i % LANES]:
+                    hold_on(lanes, block, i)
 
-    Episodes that are over and followed by another in the same step are noted, their last row is kept.
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def show_range(blocks, lanes, rules, told, first, last, wanted, modes):
+    """Observe environments in blocks first to last, exclusive, where wanted (n,), and tell of them.
+
+    Of those whose episode is over and followed by another in the same step, the row is kept as the last one.
     """
     for b in range(first, last):
         block = _borrowed(blocks, b)
         for i in range(b * LANES, min((b + 1) * LANES, len(lanes.steps))):
-            if not told.renewed[i]:
-                settle(lanes, rules, block, i, told)
+            if wanted[i]:
+                observe_now(lanes, rules, block, i, told.observation[i])
                 tell(lanes, rules, i, told.info[i])
                 if modes[i] == SAME_STEP and lanes.over[i]:
                     told.renewed[i] = True
@@ -102,29 +117,22 @@ def settle_range(blocks, lanes, rules, told, first, last, modes):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def begin_range(blocks, lanes, rules, told, first, last):
-    """New episodes in blocks first to last, exclusive, where told.renewed; grasps that are given close next."""
+    """New episodes in blocks first to last, exclusive, where told.renewed."""
     for b in range(first, last):
         block = _borrowed(blocks, b)
         for i in range(b * LANES, min((b + 1) * LANES, len(lanes.steps))):
             if told.renewed[i]:
                 told.failed[i] = not begin(lanes, rules, block, i)
-                if not told.failed[i] and not math.isnan(lanes.given[i, 0]):
-                    take(lanes, rules, block, i, lanes.given[i, 0], lanes.given[i, 1])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def show_range(blocks, lanes, rules, told, first, last):
-    """Observe new episodes in blocks first to last, exclusive, once given grasps have closed."""
+def take_range(blocks, lanes, rules, told, first, last):
+    """Have given grasps close in new episodes in blocks first to last, exclusive."""
     for b in range(first, last):
         block = _borrowed(blocks, b)
         for i in range(b * LANES, min((b + 1) * LANES, len(lanes.steps))):
-            if told.renewed[i] and not told.failed[i]:
-                if not math.isnan(lanes.given[i, 0]):
-                    told.failed[i] = not block.done[i % LANES]
-                    if block.done[i % LANES]:
-                        hold_on(lanes, block, i)
-                observe_now(lanes, rules, block, i, told.observation[i])
-                tell(lanes, rules, i, told.info[i])
+            if told.renewed[i] and not told.failed[i] and not math.isnan(lanes.given[i, 0]):
+                take(lanes, rules, block, i, lanes.given[i, 0], lanes.given[i, 1])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

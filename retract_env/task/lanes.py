@@ -50,7 +50,7 @@ from retract_env.task.rules import (
     verdict,
     way,
 )
-from retract_env.task.shown import at_rest, observe_now, surfaces_of
+from retract_env.task.shown import at_rest, surfaces_of
 
 
 @njit(**INSIDE)
@@ -76,7 +76,7 @@ def new_flap(lanes, rules, block, i):
 @njit(**INSIDE)
 def look(lanes, block, i):
     """What does not change while environment i has this flap and line of sight."""
-    flap, sight, lane = block.flap[i % LANES], block.sight[i % LANES], i % LANES
+    flap, sight = block.flap[i % LANES], block.sight[i % LANES]
     length, height, modulus = flap[LENGTH_M], flap[HEIGHT], flap[MODULUS]
     at = np.empty(STIFFNESS_SAMPLES)
     for k in range(STIFFNESS_SAMPLES):
@@ -168,7 +168,6 @@ def settle(lanes, rules, block, i, told):
     for k in range(len(TERMS)):
         reward += lanes.terms[i, k]
     told.reward[i] = reward
-    observe_now(lanes, rules, block, i, told.observation[i])
 
 
 @njit(**INSIDE)
