@@ -1,7 +1,7 @@
 """Steps a second of the retraction task on rods: python -m benchmarks.rod_speed.
 
-Only the environments' own work is timed, on two threads unless told otherwise; what chooses the actions is not,
-but for the last line, a rollout of PPO with its network.
+Only the environments' own work is timed, on two threads unless told otherwise; what chooses the actions is
+not, but for the last line, a rollout of PPO with its network.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ INCREMENTS = 12
 
 
 def eased_actions(observations: Floats) -> Floats:
-    """Actions (n, 3) along eased paths for flaps as `sample_scene` draws them, from observations (n, SIZE)."""
+    """Actions (n, 3) along eased paths for flaps of `sample_scene`, from observations (n, SIZE)."""
     seen = {name: observations[:, part].astype(np.float64) for name, part in SLICES.items()}
     holding = seen["holding"][:, 0] > 0
     target, slope = seen["target"][:, 0] * LENGTH, seen["slope"][:, 0]

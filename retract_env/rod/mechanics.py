@@ -21,9 +21,9 @@ so that the normal force is N = A e + B k, the moment M = B e + D k, the shear f
 Along an element x', y' and theta' are constant, and theta is taken in its middle: one point of integration,
 which neither locks nor hourglasses.
 
-Weight acts on the axis. The bed y = 0 and the block x > 0, y < 1 that holds the fixed end push the flap's lower
-surface (z = -1/2) with a stiffness per length; the block along the shorter way out, so that nothing jumps at
-its corner.
+Weight acts on the axis. The bed y = 0 and the block x > 0, y < 1 that holds the fixed end push the flap's
+lower surface (z = -1/2) with a stiffness per length; the block along the shorter way out, so that nothing
+jumps at its corner.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ def gradient(stretch, shear, bend, sine, cosine, A, B, D, G):
 
 
 @njit(fastmath=CONTRACT, error_model="numpy")
-def hessian(stretch, shear, bend, sine, cosine, A, B, D, G):
+def hessian(stretch, shear, bend, sine, cosine, A, B, D, G):  # noqa: ARG001
     """Second derivatives of U over (x', y', theta, theta'): xx, xy, yy, xt, yt, tt, xk, yk, tk; kk is D."""
     s, c, e = sine, cosine, 1.0 + stretch
     N, Q = A * stretch + B * bend, G * shear

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -155,6 +156,7 @@ class Flaps:
         """Copies of all that n environments go on from, n rows each."""
         n = len(self.lanes.steps)
         kept = {name: array.copy() for name, array in self.lanes._asdict().items()}
+        kept["observation"] = self.told.observation.copy()
         for name in STATE:
             array = getattr(self.blocks, name)
             if array.ndim == 2:
@@ -165,7 +167,10 @@ class Flaps:
     def set_state(self, kept: Mapping[str, NDArray[Any]]) -> None:
         """Go on from there."""
         n = len(self.lanes.steps)
+        room = self.lanes.vertices.shape[1], self.lanes.moduli.shape[1]
         self.lanes = Lanes(**{name: kept[name].copy() for name in Lanes._fields})
+        self._make_room(*room)  # a state may come from where flaps have fewer veins
+        self.told.observation[...] = kept["observation"]
         for name in STATE:
             array = getattr(self.blocks, name)
             rows = array.shape[-1] if array.ndim == 3 else array.shape[-1] // LANES
@@ -193,7 +198,7 @@ class Workers:
         count = len(flaps.blocks.flap)
         threads = min(self.threads, count)
         ends = [count * k // threads for k in range(threads + 1)]
-        ranges = list(zip(ends[:-1], ends[1:], strict=True))
+        ranges = list(pairwise(ends))
         common: tuple[Any, ...] = flaps.blocks, flaps.lanes, flaps.rules, flaps.told
         if threads == 1:
             kernel(*common, 0, count, *arguments)

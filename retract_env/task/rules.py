@@ -1,7 +1,8 @@
 """What is observed, rewarded and judged, as compiled formulas on plain numbers, for many flaps at once.
 
-`RetractionTask` and `objectives` say the same for one flap, as a reader wants to read it. Here is what a batch of
-environments computes instead; tests hold both together, to the last bit. `observe` and `along` serve both.
+`RetractionTask` and `objectives` say the same for one flap, as a reader wants to read it. Here is what a
+batch of environments computes instead; tests hold both together, to the last bit. `observe` and `along` serve
+both.
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ TERMS = ("exposure", "clearance", "strain", "friction", "success", "failure")
 # No fastmath: every number has to be rounded as NumPy rounds it.
 @njit(cache=True, nogil=True, error_model="numpy")
 def along(at, points, station):
-    """Where a surface is, x and y, whose nodes are at `at` (n,) ascending and now at points (n, 2), m; linear between
-    them and the same beyond the ends."""
+    """Where a surface is, x and y, whose nodes are at `at` (n,) ascending and now at points (n, 2), m; linear
+    between them and the same beyond the ends."""
     last = len(at) - 1
     if station <= at[0]:
         return points[0, 0], points[0, 1]
@@ -78,8 +79,9 @@ def observe(
 ):
     """The observation, as LAYOUT describes it, into out (SIZE,) float32.
 
-    jaws: (4,) m; at_lower, lower, at_upper, upper: (n,), (n, 2) m, both surfaces at rest and now; sight: (3,) target, slope, nearness;
-    k_eq: (STIFFNESS_SAMPLES,), modulus / height; limits: (3,); low, high: bounds (SIZE,) float32.
+    jaws: (4,) m; at_lower, lower, at_upper, upper: (n,), (n, 2) m, both surfaces at rest and now; sight: (3,)
+    target, slope, nearness; k_eq: (STIFFNESS_SAMPLES,), modulus / height; limits: (3,); low, high: bounds
+    (SIZE,) float32.
     """
     dx, dy = jaws[2] - jaws[0], jaws[3] - jaws[1]
     separation = math.sqrt(dx * dx + dy * dy)
@@ -123,10 +125,12 @@ def observe(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def exposed(lower, upper, camera_x, camera_y, target, near):
-    """Fraction of the bed from x = near to the target that the camera sees past a flap, as `objectives.exposure`.
+    """Fraction of the bed from x = near to the target that the camera sees past a flap, as
+    `objectives.exposure`.
 
-    lower, upper: (n, 2) m, both surfaces from the free to the fixed end. The outline is closed, so that what it
-    hides of the bed reaches from the first to the last ray through it, as long as all of it is below the camera.
+    lower, upper: (n, 2) m, both surfaces from the free to the fixed end. The outline is closed, so that what
+    it hides of the bed reaches from the first to the last ray through it, as long as all of it is below the
+    camera.
     """
     low, high, below = np.inf, -np.inf, True
     last = len(lower) - 1
