@@ -205,7 +205,7 @@ def test_wrong_options_say_what_is_allowed(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"physics": "sofa"}, "^physics = 'sofa', allowed bullet, fem$"),
+        ({"physics": "sofa"}, "^physics = 'sofa', allowed bullet, fem, rod$"),
         ({"resolution": "superb"}, "^resolution = 'superb', allowed coarse, medium, fine, finer$"),
         ({"obs": "sound"}, "^obs = 'sound', allowed state, pixels$"),
         ({"camera": "3d"}, "^camera = '3d', allowed section$"),

@@ -10,13 +10,14 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 from retract_env.env import TissueRetractEnv
-from retract_env.scene import load_scene
+from retract_env.scene import LineOfSight, load_scene
 from retract_env.task import SIZE, TaskConfig, default_scene
+from tests.retract_env.extremes import corner, scene_with
+from tests.retract_env.playing import ROD
 from tests.retract_env.vectors import (  # fmt: skip
     DISABLED,
     HELD,
     NEXT,
-    ROD,
     SAME,
     Player,
     ends,
@@ -29,6 +30,7 @@ from tests.retract_env.vectors import (  # fmt: skip
 
 SHIPPED = ("homogeneous", "homogeneous_near", "ten_veins", "twenty_veins", "wide")
 LINE = {"camera": [-0.09, 0.05], "target": [-0.015, 0.0]}
+LIMITS = default_scene().limits.model_dump()
 SHORT: dict[str, Any] = {"steps": 5}
 MODES = [NEXT, SAME, DISABLED]
 
@@ -81,12 +83,29 @@ def test_it_says_what_single_ones_say(case: str, mode: AutoresetMode) -> None:
 
 
 def test_episodes_of_every_kind_are_compared() -> None:
-    said = both(24, SAME, 40, scene="random")
-    assert {"ok", "slip", "strain"} <= ends(said)
+    easy = scene_with(
+        line_of_sight=LineOfSight.at(-0.03, 0.3).model_dump(), limits=LIMITS | {"friction": 2.0}
+    ).dump()
+    assert {"ok", "slip", "strain", "release"} <= ends(both(12, SAME, 24, scene=easy))
     assert "time" in ends(both(4, NEXT, 12, task=SHORT))
-    broken = both(12, NEXT, 20, scene="random", task={"limits": "cost", "steps": 16})
-    assert {"strain", "slip"} <= ends(broken)
+    broken = both(12, NEXT, 24, scene=easy, task={"limits": "cost", "steps": 16})
+    assert {"ok", "slip", "release"} <= ends(broken)
     assert any((one[4]["cost"] > 0).any() for one in broken[1:])
+
+
+@pytest.mark.parametrize("mode", MODES, ids=[mode.value for mode in MODES])
+def test_flaps_that_no_equilibrium_is_found_for(mode: AutoresetMode) -> None:
+    scenes = [corner(number) for number in (33, 38, 2)]
+    task = {"limits": "cost", "steps": 3}
+    native, single = (
+        vector(len(scenes), autoreset_mode=mode, task=task),
+        singles(len(scenes), mode, scenes, task=task),
+    )
+    for k, scene in enumerate(scenes):
+        native.set_scene(k, scene)
+    said = play(native, Player(1, len(scenes)), 6)
+    same(said, play(single, Player(1, len(scenes)), 6))
+    assert "diverged" in ends(said)
 
 
 @pytest.mark.parametrize("mode", MODES, ids=[mode.value for mode in MODES])
@@ -185,9 +204,7 @@ def test_it_is_made_as_gymnasium_makes_vectors() -> None:
 
 
 def test_gymnasiums_wrappers_run_on_it() -> None:
-    wrapped: Any = gym.wrappers.vector.RecordEpisodeStatistics(
-        vector(4, autoreset_mode="SameStep", task=SHORT)
-    )
+    wrapped: Any = gym.wrappers.vector.RecordEpisodeStatistics(vector(4, task=SHORT))
     wrapped = gym.wrappers.vector.NormalizeObservation(wrapped)
     wrapped.reset(seed=0)
     for _ in range(6):

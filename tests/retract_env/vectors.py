@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from retract_env.env import TissueRetractEnv
 from retract_env.task import SLICES
 from retract_env.vector import TissueRetractVectorEnv
+from tests.retract_env.playing import ROD
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
-ROD = "TissueRetractRod-v0"
 NEXT, SAME, DISABLED = AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP, AutoresetMode.DISABLED
 HELD = {"x": -0.03, "compression": 1e-3}
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from itertools import product
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,9 +18,11 @@ from retract_env.physics.base import Physics, Restorable, TissueState
 from retract_env.physics.measures import tool_outline
 from retract_env.physics.rod import RodPhysics
 from retract_env.rod.chain import LANES, RIGHT
+from retract_env.rod.flap import SHORTEST
 from retract_env.rod.measures import IN_BLOCK
 from retract_env.scene import Scene, load_scene
 from retract_env.task import default_scene, sound
+from tests.retract_env.extremes import CORNERS, corner, scene_with
 from tests.retract_env.physics.test_physics_fem import same_bits
 
 Array = NDArray[np.float64]
@@ -29,14 +30,6 @@ Array = NDArray[np.float64]
 GRASP = Grasp(-0.025, 1.1e-3)
 IN_A_BLINK = 1e-9
 """Of numbers of order 1, through some ten operations in another order."""
-
-
-def scene_with(**parts: Any) -> Scene:
-    """The paper's flap, with parts that differ: mappings change what they name, others replace."""
-    data = default_scene().dump()
-    for name, value in parts.items():
-        data[name] = {**(data.get(name) or {}), **value} if isinstance(value, dict) else value
-    return Scene.from_data(data)
 
 
 SCENES: dict[str, Scene] = {
@@ -86,7 +79,7 @@ def test_it_is_a_physics() -> None:
     assert isinstance(physics, Restorable)
     state = physics.reset()
     assert (
-        state is physics.state() and state.progress == 0 and state.worst_strain == pytest.approx(0, abs=1e-3)
+        state is physics.state() and state.progress == 0 and state.worst_strain == pytest.approx(0, abs=5e-3)
     )
     assert not state.overlap and np.isfinite(state.points).all()
     assert state.points.shape == physics.section.points.shape
@@ -129,7 +122,7 @@ def test_a_move_that_fails_changes_nothing() -> None:
     poses = poses_of(scene, GRASP.x, GRASP.compression)
     for one in (physics, other):
         one.reset()
-        last = one.move_to(poses[0], 1.0)
+        one.move_to(poses[0], 1.0)
     kept = physics.get_state()
     failed = 0
     for wrong in ([np.nan, 0, 0, 0], [0, np.nan, 0, 0], [0, 0, np.inf, 0], [0, 0, 1e3, 0], [1e6, 0, 0, 0]):
@@ -138,7 +131,6 @@ def test_a_move_that_fails_changes_nothing() -> None:
                 physics.move_to(poses[0] + change)
             except Diverged:
                 failed += 1
-                assert (same_bits(physics.state(), other.state()) and physics.state() is last) or failed
                 assert same_bits(physics.state(), other.state())
                 assert same_bits(physics.move_to(poses[1]), other.move_to(poses[1]))
             other.set_state(kept)
@@ -213,8 +205,9 @@ def test_a_flap_in_the_air_rests_on_its_jaws_and_its_fixed_end(gravity: float, x
     scene = scene_with(bed=False, gravity=gravity)
     tissue = scene.tissue
     unit = tissue.modulus * tissue.height * tissue.depth
-    weight = tissue.density * gravity * tissue.length * tissue.height * tissue.depth
     x *= tissue.length
+    longest = max(tissue.length, SHORTEST * tissue.height - x)  # a stub beyond the jaws at the free end
+    weight = tissue.density * gravity * longest * tissue.height * tissue.depth
     physics = RodPhysics(scene, x)
     physics.reset()
     for pose in poses_of(scene, x, 0.25 * tissue.height)[:10]:
@@ -243,25 +236,12 @@ def test_without_weight_a_flap_turned_upside_down_is_the_same() -> None:
 # --- Whatever the scene
 
 
-EXTREMES: dict[str, tuple[Any, ...]] = {
-    "length": (2e-3, 0.5),
-    "height": (2e-4, 0.05),
-    "depth": (1e-4, 0.5),
-    "density": (0.0, 2e4),
-    "modulus": (100.0, 1e8),
-    "poisson": (0.0, 0.49),
-}
-
-
 @pytest.mark.parametrize("jaw", [1e-3, 0.24])
-@pytest.mark.parametrize("corner", range(2 ** len(EXTREMES)))
-def test_at_the_corners_of_what_a_scene_may_be(corner: int, jaw: float) -> None:
+@pytest.mark.parametrize("number", range(len(CORNERS)))
+def test_at_the_corners_of_what_a_scene_may_be(number: int, jaw: float) -> None:
     """Numbers, or no equilibrium; for grasps at both ends of the flap and between."""
-    sides = list(product((0, 1), repeat=len(EXTREMES)))[corner]
-    tissue = {name: ends[side] for (name, ends), side in zip(EXTREMES.items(), sides, strict=True)}
-    length, height = tissue["length"], tissue["height"]
-    line = {"camera": [-1.2 * length, length + height], "target": [-0.3 * length, 0.0]}
-    scene = scene_with(tissue=tissue, line_of_sight=line, jaws={"width": jaw * length}, gravity=100.0)
+    scene = corner(number, jaw)
+    length, height = scene.tissue.length, scene.tissue.height
     low, high = jaw_range(length, scene.jaws.width)
     for x, closed in product((low, 0.5 * (low + high), high * (1 + 1e-9)), (0.02, 0.5)):
         try:
