@@ -1,5 +1,7 @@
 """Steps a second of the retraction task on rods: python -m benchmarks.rod_speed.
 
+With --soak STEPS instead so many random steps: what memory they take, how many episodes were given up.
+
 Only the environments' own work is timed, on two threads unless told otherwise; what chooses the actions is
 not, but for the last line, a rollout of PPO with its network.
 """
@@ -7,8 +9,11 @@ not, but for the last line, a rollout of PPO with its network.
 from __future__ import annotations
 
 import argparse
+import math
+import os
 import time
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -81,11 +86,53 @@ def timed(
     return envs.num_envs * steps / seconds, envs.num_envs * steps / max(ended, 1), succeeded / max(ended, 1)
 
 
+def resident() -> float:
+    """MB of memory that this process has now; nan where the system is not Linux."""
+    statm = Path("/proc/self/statm")
+    return (
+        int(statm.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6 if statm.exists() else math.nan
+    )
+
+
+def soak(envs: gym.vector.VectorEnv, steps: int) -> None:
+    """Random steps of all together, as many as asked or a few more; raises where one is out of bounds."""
+    rng, space = np.random.default_rng(0), envs.single_observation_space
+    assert isinstance(space, gym.spaces.Box)
+    rounds = -(-steps // envs.num_envs)
+    ended, diverged, memory = 0, 0, [0.0, 0.0]
+    envs.reset(seed=0)
+    start = time.perf_counter()
+    for k in range(rounds):
+        chosen = rng.uniform(-1, 1, (envs.num_envs, 3))
+        observations, rewards, terminated, truncated, infos = envs.step(chosen)
+        if not ((observations >= space.low) & (observations <= space.high)).all() or np.isnan(rewards).any():
+            raise ArithmeticError(f"round {k}: an observation or a reward out of bounds")
+        over = terminated | truncated
+        ended += int(over.sum())
+        if over.any():
+            diverged += int((infos["final_info"]["failure"][over] == "diverged").sum())
+        if k == rounds // 100:  # by then all code has been loaded, all room taken
+            memory[0] = resident()
+        if (k + 1) % (rounds // 10 + 1) == 0:
+            progress(f"{(k + 1) * envs.num_envs:,} steps")
+    memory[1], seconds = resident(), time.perf_counter() - start
+    rows: list[tuple[object, ...]] = [
+        ("steps", f"{rounds * envs.num_envs:,}"),
+        ("seconds, with choosing and checking", f"{seconds:,.0f}"),
+        ("episodes", f"{ended:,}"),
+        ("of them diverged", f"{diverged:,}, {1e6 * diverged / max(ended, 1):.1f} in a million"),
+        ("memory after 1 % of the steps, MB", f"{memory[0]:.1f}"),
+        ("memory at the end, MB", f"{memory[1]:.1f}"),
+    ]
+    print(table(("", ""), rows))
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--envs", type=int, default=1024)
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--steps", type=int, default=100)
+    parser.add_argument("--soak", type=int, metavar="STEPS")
     options = parser.parse_args(arguments)
     print(machine())
     envs = gym.make_vec(
@@ -95,6 +142,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         threads=options.threads,
         autoreset_mode="SameStep",
     )
+    if options.soak:
+        soak(envs, options.soak)
+        envs.close()
+        return
     envs.action_space.seed(0)
     rows: list[tuple[object, ...]] = []
     for name, act in (("eased paths", eased_actions), ("random", lambda _: envs.action_space.sample())):

@@ -110,7 +110,7 @@ def test_flaps_that_no_equilibrium_is_found_for(mode: AutoresetMode) -> None:
 
 @pytest.mark.parametrize("mode", MODES, ids=[mode.value for mode in MODES])
 def test_every_slot_has_a_scene_of_its_own(mode: AutoresetMode) -> None:
-    scenes = [*SHIPPED, "random", default_scene().dump(), load_scene("ten_veins"), "random"]
+    scenes: list[Any] = [*SHIPPED, "random", default_scene().dump(), load_scene("ten_veins"), "random"]
     native = vector(len(scenes), autoreset_mode=mode, scene="random", task={"steps": 7})
     for k, scene in enumerate(scenes):
         native.set_scene(k, scene)
@@ -137,12 +137,12 @@ def test_every_slot_has_a_scene_of_its_own(mode: AutoresetMode) -> None:
     "own", [{"scene": "random"}, {"scene": "homogeneous_near", "grasp": "spring"}], ids=str
 )
 def test_options_are_for_one_episode_alone(mode: AutoresetMode, options: Any, own: Any) -> None:
-    task = {"task": {"steps": 3}, "sensors": {"noise": 0.01}}
+    task: dict[str, Any] = {"task": {"steps": 3}, "sensors": {"noise": 0.01}}
     native, single = vector(3, autoreset_mode=mode, **own, **task), singles(3, mode, **own, **task)
     for seed in (5, None):
         said = [play(envs, Player(2, 3), 6, seed, dict(options)) for envs in (native, single)]
-        same(*said)
-    same(*[play(envs, Player(4, 3), 4, None) for envs in (native, single)])
+        alike(said)
+    alike([play(envs, Player(4, 3), 4, None) for envs in (native, single)])
 
 
 def test_scenes_change_between_episodes() -> None:
@@ -152,7 +152,7 @@ def test_scenes_change_between_episodes() -> None:
         vector(2, scene="random", ranges={"veins": [0, 2]}),
     )
     first = [play(envs, Player(0, 2), 3) for envs in (native, alone)]
-    same(*first)
+    alike(first)
     native.set_scene(0, "twenty_veins")
     second = [play(envs, Player(0, 2), 6, None) for envs in (native, alone)]
     same(row(second[0], 1), row(second[1], 1))
@@ -160,7 +160,7 @@ def test_scenes_change_between_episodes() -> None:
     native.set_scene(0, "twenty_veins")
     same(row(play(native, Player(0, 2), 6), 0), row(expected, 0))
     native.set_scene(0, "random")
-    same(*[play(envs, Player(0, 2), 6) for envs in (native, alone)])
+    alike([play(envs, Player(0, 2), 6) for envs in (native, alone)])
 
 
 @pytest.mark.parametrize("mode", [NEXT, SAME], ids=["NextStep", "SameStep"])
@@ -172,14 +172,14 @@ def test_resets_by_mask_in_the_middle(mode: AutoresetMode) -> None:
     seen = [envs.reset(seed=3)[0] for envs in (native, single)]
     for k in range(12):
         said: Any = [envs.step(p(s)) for envs, p, s in zip((native, single), player, seen, strict=True)]
-        same(*said)
+        alike(said)
         seen = [one[0] for one in said]
         if k % 3 == 1:
             mask = rng.random(4) < 0.5
             mask[k % 4] = True
             seeds = [None, 7 + k, None, k]
             said = [envs.reset(seed=seeds, options={"reset_mask": mask.copy()}) for envs in (native, single)]
-            same(*said)
+            alike(said)
             seen = [one[0] for one in said]
 
 

@@ -93,7 +93,7 @@ def test_wrong_resets(seed: Any, options: dict[str, Any], message: str, scene: s
         pass
     else:
         same(said, untouched.step(chosen))
-    same(*[play(one, Player(2, 3), 4, seed=6) for one in (envs, untouched)])
+    alike([play(one, Player(2, 3), 4, seed=6) for one in (envs, untouched)])
 
 
 @pytest.mark.parametrize(
@@ -150,7 +150,7 @@ def test_scenes_for_slots_that_there_are() -> None:
             envs.set_scene(k, "random")
     with refused("nowhere"):
         envs.set_scene(0, "nowhere")
-    same(*[play(one, Player(0, 2), 3) for one in (envs, vector(2))])
+    alike([play(one, Player(0, 2), 3) for one in (envs, vector(2))])
 
 
 def small() -> Scene:

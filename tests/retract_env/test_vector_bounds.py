@@ -93,7 +93,7 @@ def test_the_steps_left_are_shown() -> None:
     seen = [envs.reset(seed=0)[0]]
     seen += [envs.step(np.zeros((3, 3)))[0] for _ in range(6)]
     left = np.array(seen)[:, :, SLICES["time_left"]].squeeze(-1).T
-    assert np.array_equal(left, np.tile(np.float32([1, 0.75, 0.5, 0.25, 0, 1, 0.75]), (3, 1)))
+    assert np.array_equal(left, np.tile(np.array([1, 0.75, 0.5, 0.25, 0, 1, 0.75], np.float32), (3, 1)))
     assert TaskConfig().steps == 64 and ends([]) == set()
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import Any
 
@@ -58,6 +58,14 @@ def same(one: Any, other: Any, where: str = "") -> None:
             assert one.tobytes() == other.tobytes(), f"{where}: {one} {other}"
     else:
         assert type(one) is type(other) and one == other, f"{where}: {one} {other}"
+
+
+def alike(said: Iterable[Any]) -> None:
+    """Assert that of all of them."""
+    first, *others = said
+    assert others
+    for other in others:
+        same(first, other)
 
 
 class Player:

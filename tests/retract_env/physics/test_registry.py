@@ -75,7 +75,8 @@ def test_a_missing_package_is_named_with_the_command_that_installs_it(
         TissueRetractEnv("still")
     assert str(caught.value) == (
         'physics = "still" needs no_such_package: pip install no-such-package; '
-        "TissueRetractFEM-v0, on the finite elements, or TissueRetractRod-v0, on a planar rod, needs nothing more"
+        "TissueRetractFEM-v0, on the finite elements, or TissueRetractRod-v0, on a planar rod, "
+        "needs nothing more"
     )
 
 
