@@ -1,5 +1,4 @@
-"""Motions on the finite elements that the rod is fitted to and compared with: python -m
-benchmarks.rod_motions.
+"""Motions on the finite elements to fit the rod to and compare it with: python -m benchmarks.rod_motions.
 
 Random flaps are retracted on four kinds of paths: ctc and circular ones from random grasps, eased ones a
 little firmer than its planner begins with, and random actions of the environment. Each equilibrium is kept:
