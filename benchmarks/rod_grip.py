@@ -1,8 +1,7 @@
 """The rod's grip law, fitted to squeezes and motions on fine finite elements: python -m benchmarks.rod_grip.
 
-Needs the sets `fit` and `squeezes` of `benchmarks.rod_motions`. Writes retract_env/rod/grip.json and says how
-far off the laws are, on the set `squeezes` also by cross-validation: every flap judged by laws that never saw
-it.
+Needs the sets `fit` and `squeezes` of `benchmarks.rod_motions`. Writes retract_env/rod/grip.json and says how far
+off the laws are, on the set `squeezes` also by cross-validation: every flap judged by laws that never saw it.
 """
 
 from __future__ import annotations
@@ -92,7 +91,7 @@ def law(squeezes: Squeezes, target: Array, start: Sequence[float]) -> tuple[Arra
     return shape, weighted(X, target, squeezes.weight), unseen
 
 
-def main(arguments: Sequence[str] | None = None) -> None:  # noqa: ARG001
+def main(arguments: Sequence[str] | None = None) -> None:
     squeezes = Squeezes()
     data: dict[str, Any] = {}
     for name, target in zip(("normal", "strain"), squeezes.target, strict=True):
