@@ -20,6 +20,7 @@ from tests.retract_env.vectors import (  # fmt: skip
     NEXT,
     SAME,
     Player,
+    alike,
     ends,
     play,
     row,
@@ -225,7 +226,8 @@ def test_what_it_returns_is_the_callers() -> None:
         said, expected = envs.step(player(seen)), other.step(twin(again))
         same(said, expected)
         seen, again = said[0].copy(), expected[0]
-        for array in (*said[:4], *(v for v in said[4].values() if isinstance(v, np.ndarray))):
+        rows: list[Any] = [*said[:4], *(v for v in said[4].values() if isinstance(v, np.ndarray))]
+        for array in rows:
             array[...] = 0 if array.dtype != object else None
 
 

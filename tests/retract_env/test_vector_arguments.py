@@ -11,7 +11,7 @@ from gymnasium.error import ResetNeeded
 from retract_env.scene import Scene
 from retract_env.task import default_scene
 from retract_env.vector import TissueRetractVectorEnv
-from tests.retract_env.vectors import HELD, Player, play, same, vector
+from tests.retract_env.vectors import HELD, Player, alike, play, same, vector
 
 
 def refused(message: str, error: type[Exception] = ValueError) -> Any:
