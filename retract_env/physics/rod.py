@@ -1,7 +1,7 @@
 """The flap as a planar rod: the physics that is fast enough to learn and to search on.
 
-What it computes and what it leaves out is said in `retract_env.rod`; how far it is from fine finite elements in
-docs/rod.md.
+What it computes and what it leaves out is said in `retract_env.rod`; how far it is from fine finite elements
+in docs/rod.md.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class RodPhysics:
         resolution: str = "rod",
         stop_when: Callable[[TissueState], bool] | None = None,  # noqa: ARG002
     ):
-        """jaw_x: m, where the jaws grasp. Raises ValueError for a place off the flap, or an unknown resolution."""
+        """jaw_x: m, where the jaws grasp. Raises ValueError for a place off the flap or a resolution."""
         if resolution not in self.resolutions:
             raise ValueError(f"resolution = {resolution!r}, allowed {', '.join(self.resolutions)}")
         patch_ends(scene, jaw_x)
@@ -141,7 +141,7 @@ class RodPhysics:
         return RodState(self.scene.hash, self.jaw_x, lane, self._progress, self._state)
 
     def set_state(self, state: object) -> None:
-        """Go on from there. Raises TypeError for no such state, ValueError for that of another flap or grasp."""
+        """Go on from there. Raises TypeError for no state, ValueError for that of another flap or grasp."""
         if not isinstance(state, RodState):
             raise TypeError(f"state is a {type(state).__name__}, allowed a RodState")
         if (state.scene_hash, state.jaw_x) != (self.scene.hash, self.jaw_x):

@@ -1,7 +1,8 @@
 """LANES flaps side by side, each between jaws of its own: what environments and planners step.
 
-A block is a tuple of arrays, so that compiled code takes it as it is. `hold` puts a flap into a lane, `close` and
-`aim` say what its jaws do next, `advance` moves the jaws of all lanes and measures what has become of the flaps.
+A block is a tuple of arrays, so that compiled code takes it as it is. `hold` puts a flap into a lane, `close`
+and `aim` say what its jaws do next, `advance` moves the jaws of all lanes and measures what has become of the
+flaps.
 """
 
 from __future__ import annotations
@@ -131,8 +132,8 @@ def new_block() -> Block:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def close(block, lane, x, compression, vertices, offsets, moduli, held):
-    """Have the jaws of a lane, which grasp at x, m, closed by a compression, over the height, from the next move
-    on. held: of `grip.load`."""
+    """Have the jaws of a lane, which grasp at x, m, closed by a compression, over the height, from the next
+    move on. held: of `grip.load`."""
     block.grip[lane, COMPRESSION] = compression
     kept = block.grip[lane]
     kept[PUSH] = held[PUSHED] * block.flap[lane, POISSON] / 2 * compression * math.exp(kept[NORMAL])
@@ -142,8 +143,8 @@ def close(block, lane, x, compression, vertices, offsets, moduli, held):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def hold(block, lane, x, compression, vertices, offsets, moduli, laws, held):
-    """Let the flap of a lane lie flat between jaws at x, m, that close by a compression, over the height, with the
-    next move.
+    """Let the flap of a lane lie flat between jaws at x, m, that close by a compression, over the height,
+    with the next move.
 
     vertices, offsets, moduli: of its veins, see `retract_env.spring.columns`; laws, held: of `grip.load`.
     """

@@ -18,7 +18,8 @@ from numba import njit
 from retract_env.rod.mechanics import CONTRACT, contact, energy, gradient, hessian, sine_cosine, strains
 
 LANES = 16
-"""Chains side by side. LLVM vectorises loops of fewer rounds only where it can prove that no two arrays overlap."""
+"""Chains side by side. LLVM vectorises loops of fewer rounds only where it can prove that no two arrays
+overlap."""
 
 # Rows of a chain's parameters
 LENGTH, WEIGHT, BED, BLOCK, SLACK, LOAD = 0, 1, 2, 3, 4, 5
@@ -47,8 +48,8 @@ SCRATCH = 53
 PER_NODE = 21
 
 LEAST_PIVOT = 1e-8
-"""Pivots of stable chains are above 1e-3. Smaller ones are turned positive, which makes the step lead down, and
-the chain is not in a stable equilibrium."""
+"""Pivots of stable chains are above 1e-3. Smaller ones are turned positive, which makes the step lead down,
+and the chain is not in a stable equilibrium."""
 
 
 def parameters_rows(elements: int) -> int:
@@ -71,8 +72,8 @@ def _rows(array, first, count):
 def sweep(P, U, W, Z, count, clamped):
     """Residual and eliminated tangent at U; energy, worst residual, pivots and the clamped ends' reactions.
 
-    P, U: rows of parameters and of 3 (count + 1) unknowns, x, y, theta a node; W, Z: scratch rows and factors,
-    which come out; count: elements; clamped: whether the left end is.
+    P, U: rows of parameters and of 3 (count + 1) unknowns, x, y, theta a node; W, Z: scratch rows and
+    factors, which come out; count: elements; clamped: whether the left end is.
     """
     for r in range(CARRY + 12):
         if r != SLOPE and r != LARGEST:
@@ -274,7 +275,7 @@ def _pass_on(W, Z, node):
 
 @njit(cache=True, fastmath=CONTRACT, error_model="numpy")
 def newton_step(W, Z, count, clamped):
-    """Newton's step into each node's rows, and how far it turns a node at most, and how steeply it leads down."""
+    """Newton's step into each node's rows, how far it turns a node at most, how steeply it leads down."""
     for k in range(3):
         for l in range(LANES):
             W[(STEP + k) * LANES + l] = 0.0

@@ -23,7 +23,7 @@ NEXT_STEP, SAME_STEP, DISABLED = range(3)
 
 @njit(error_model="numpy")
 def _block(blocks, b, scratch, factors, work, rod_strain):
-    """Block b of blocks, whose arrays have one more dimension in front, with scratch arrays of the caller's."""
+    """Block b of blocks, whose arrays have one more dimension in front, with the caller's scratch arrays."""
     return Block(
         blocks.flap[b],
         blocks.sight[b],
@@ -70,7 +70,7 @@ def act_range(blocks, lanes, rules, told, first, last, actions, modes):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def advance_range(blocks, lanes, rules, told, first, last):
+def advance_range(blocks, lanes, rules, told, first, last):  # noqa: ARG001
     """Move the jaws in blocks first to last, exclusive, that are to move."""
     scratch, factors = np.empty(SCRATCH * LANES), np.empty(FACTORS * LANES)
     work, rod_strain = np.empty((4 + 4 * (FREE + INNER)) * LANES), np.empty(LANES)
@@ -84,8 +84,8 @@ def advance_range(blocks, lanes, rules, told, first, last):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def settle_range(blocks, lanes, rules, told, first, last, fresh):
-    """What the step has led to in blocks first to last, exclusive; with fresh, what closing a given grasp has led
-    to in new episodes."""
+    """What the step has led to in blocks first to last, exclusive; with fresh, what closing a given grasp has
+    led to in new episodes."""
     for b in range(first, last):
         block = _borrowed(blocks, b)
         for i in range(b * LANES, min((b + 1) * LANES, len(lanes.steps))):
@@ -136,7 +136,7 @@ def take_range(blocks, lanes, rules, told, first, last):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def look_range(blocks, lanes, rules, told, first, last):
+def look_range(blocks, lanes, rules, told, first, last):  # noqa: ARG001
     """Note what does not change while an environment has its flap, in blocks first to last, exclusive."""
     for b in range(first, last):
         block = _borrowed(blocks, b)
