@@ -68,7 +68,7 @@ def test_examples_run(example: str, tmp_path: Path, monkeypatch: pytest.MonkeyPa
             pytest.importorskip(module)
     (tmp_path / "configs").symlink_to(ROOT / "configs")
     monkeypatch.chdir(tmp_path)
-    shorter = example.replace("total_timesteps=100_000", "total_timesteps=8")
+    shorter = example.replace("total_timesteps=100_000", "total_timesteps=8").replace("n_steps=64", "n_steps=2")
     exec(compile(shorter, "example", "exec"), {})
 
 
