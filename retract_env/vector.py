@@ -285,19 +285,16 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
         flaps, told = self._flaps, self._flaps.told
         told.renewed[:], told.failed[:] = mask, False
         self._workers.run(begin_range, flaps)
+        if told.failed.any():
+            k = int(told.failed.argmax())
+            raise SceneError(f"environment {k}: no room for the veins of a random flap")
         if not np.isnan(flaps.lanes.given[mask]).all():
             self._workers.run(take_range, flaps)
             self._workers.run(advance_range, flaps)
             self._workers.run(settle_range, flaps, True)
-        self._check(told.failed)
+            if told.failed.any():
+                raise Diverged(f"environment {int(told.failed.argmax())}: the grasp could not be squeezed")
         self._workers.run(show_range, flaps, told.renewed, self._plain)
-
-    def _check(self, failed: Flags) -> None:
-        if failed.any():
-            k = int(failed.argmax())
-            if np.isnan(self._flaps.lanes.given[k, 0]):
-                raise SceneError(f"environment {k}: no room for the veins of a random flap")
-            raise Diverged(f"environment {k}: the grasp could not be squeezed")
 
     def _mask(self, mask: Any) -> Flags:
         if mask is None:

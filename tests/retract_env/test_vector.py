@@ -96,7 +96,7 @@ def test_episodes_of_every_kind_are_compared() -> None:
 
 @pytest.mark.parametrize("mode", MODES, ids=[mode.value for mode in MODES])
 def test_flaps_that_no_equilibrium_is_found_for(mode: AutoresetMode) -> None:
-    scenes = [corner(number) for number in (33, 38, 2)]
+    scenes = [corner(number) for number in (33, 2)]
     task = {"limits": "cost", "steps": 3}
     native, single = (
         vector(len(scenes), autoreset_mode=mode, task=task),
@@ -119,7 +119,6 @@ def test_every_slot_has_a_scene_of_its_own(mode: AutoresetMode) -> None:
     same(play(native, Player(3, len(scenes)), 12), play(single, Player(3, len(scenes)), 12))
 
 
-@pytest.mark.parametrize("mode", MODES, ids=[mode.value for mode in MODES])
 @pytest.mark.parametrize(
     "options",
     [
@@ -137,7 +136,9 @@ def test_every_slot_has_a_scene_of_its_own(mode: AutoresetMode) -> None:
 @pytest.mark.parametrize(
     "own", [{"scene": "random"}, {"scene": "homogeneous_near", "grasp": "spring"}], ids=str
 )
-def test_options_are_for_one_episode_alone(mode: AutoresetMode, options: Any, own: Any) -> None:
+def test_options_are_for_one_episode_alone(options: Any, own: Any) -> None:
+    """In a mode that goes round with the cases."""
+    mode = MODES[(len(str(options)) + len(own)) % 3]
     task: dict[str, Any] = {"task": {"steps": 3}, "sensors": {"noise": 0.01}}
     native, single = vector(3, autoreset_mode=mode, **own, **task), singles(3, mode, **own, **task)
     for seed in (5, None):

@@ -79,7 +79,8 @@ def test_verdicts(seed: int) -> None:
     friction = rng.choice([0.0, limits[1], np.nextafter(limits[1], 9), rng.uniform(0, 3), np.inf], 2)
     clearance = float(rng.choice([-np.inf, limits[2], np.nextafter(limits[2], -1), rng.uniform(-0.01, 0.01)]))
     overlap = bool(rng.integers(2))
-    expected = objectives.verdict(strain, friction, clearance, *limits.tolist(), overlap)
+    most, slips, asked = limits.tolist()
+    expected = objectives.verdict(strain, friction, clearance, most, slips, asked, overlap)
     assert rules.verdict(strain, float(friction.max()), clearance, limits, overlap) == CODES[expected]
 
 
