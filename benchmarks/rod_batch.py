@@ -62,7 +62,8 @@ def follow(courses: Sequence[Course], laws: tuple[Array, Array] | None = None) -
 
 
 def _side_by_side(courses: Sequence[Course], laws: Array, held: Array) -> list[Followed]:
-    block = rods.new_block()
+    blocks = rods.new_blocks(1)
+    block = rods.block_of(blocks, 0)
     veins = [veins_of(course.scene.tissue) for course in courses]
     for lane, course in enumerate(courses):
         block.flap[lane], block.sight[lane] = flap_numbers(course.scene), sight_numbers(course.scene)
@@ -82,7 +83,7 @@ def _side_by_side(courses: Sequence[Course], laws: Array, held: Array) -> list[F
                 rods.close(block, lane, course.x, compression, *veins[lane], held)
                 closed[lane] = compression
             rods.aim(block, lane, x, y, theta)
-        rods.advance(block, held)
+        rods.advance_blocks(blocks, held, 0, 1)
         for lane, course in enumerate(courses):
             if going[lane]:
                 going[lane] = bool(block.done[lane])

@@ -54,7 +54,9 @@ class Squeezes:
                     if state[P["progress"]] > 1:
                         break
                     c = 1 - state[P["separation"]] / tissue.height
-                    self.flaps.append((flap_numbers(scene), *veins_of(tissue), motion["x"], c))
+                    numbers, around = flap_numbers(scene), np.empty(grip.PLACES)
+                    grip.compliances(numbers, *veins_of(tissue), motion["x"], around)
+                    self.flaps.append((numbers, around, motion["x"], c))
                     rows.append(
                         [
                             np.log((state[P["N1"]] + state[P["N2"]]) / 2 / unit / c),
@@ -68,8 +70,8 @@ class Squeezes:
     def features(self, shape: Array) -> Array:
         """(squeezes, features)."""
         out = np.empty((len(self.flaps), len(grip.FEATURES)))
-        for row, (flap, vertices, offsets, moduli, x, c) in zip(out, self.flaps, strict=True):
-            grip.features(flap, vertices, offsets, moduli, x, c, shape, row)
+        for row, (flap, around, x, c) in zip(out, self.flaps, strict=True):
+            grip.features(flap, around, x, c, shape, row)
         return out
 
 

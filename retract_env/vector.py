@@ -19,11 +19,14 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
+from retract_env.compilation import announce
 from retract_env.env import Settings, read_grasp, read_scene
 from retract_env.errors import Diverged, SceneError
 from retract_env.grasp import Grasp
 from retract_env.mesh.jaws import jaw_range, patch_ends
 from retract_env.physics.registry import physics_kind
+from retract_env.physics.rod import COMPILES
+from retract_env.rod.block import advance_blocks
 from retract_env.scene import Jaws, Scene
 from retract_env.scene.pcg64 import state_of
 from retract_env.scene.sampling import SceneRanges
@@ -146,6 +149,7 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
         """whose next episode has to be prepared: at first, and where the one under way was an exception"""
         self._begun = np.zeros(self.num_envs, np.bool_)
         self._plain = np.full(self.num_envs, MODES[AutoresetMode.DISABLED], np.int8)
+        announce(advance_blocks, "the rods' kernels", COMPILES)
         self._workers = Workers(threads or cores())
 
     # --- Episodes

@@ -15,6 +15,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from retract_env.compilation import announce
 from retract_env.errors import Diverged
 from retract_env.mesh import SectionMesh, patch_ends
 from retract_env.physics.base import TissueState
@@ -24,6 +25,9 @@ from retract_env.rod.flap import FREE, INNER
 from retract_env.rod.section import ROWS, columns_of, section_of
 from retract_env.scene import Scene
 from retract_env.spring.columns import veins_of
+
+COMPILES = 60.0
+"""s that the kernels of all of this usually take to compile, once, on the two cores of a virtual machine."""
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -78,8 +82,10 @@ class RodPhysics:
         patch_ends(scene, jaw_x)
         self.scene, self.jaw_x = scene, jaw_x
         self._veins = veins_of(scene.tissue)
+        announce(rods.advance_blocks, "the rod's kernels", COMPILES)
         self._laws, self._held = laws()
-        self._block = rods.new_block()
+        self._blocks = rods.new_blocks(1)
+        self._block = rods.block_of(self._blocks, 0)
         self._block.flap[0], self._block.sight[0] = flap_numbers(scene), sight_numbers(scene)
         self._columns = columns_of(scene.tissue.length, scene.tissue.height, jaw_x)
         self.section = _section(scene, self._columns)
@@ -124,7 +130,7 @@ class RodPhysics:
 
     def _go(self, x: float, y: float, theta: float) -> None:
         rods.aim(self._block, 0, x, y, theta)
-        rods.advance(self._block, self._held)
+        rods.advance_blocks(self._blocks, self._held, 0, 1)
         if not self._block.done[0]:
             raise Diverged("no equilibrium of the rod was found")
 

@@ -167,7 +167,7 @@ def aim(block, lane, x, y, theta):
     block.todo[lane] = True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(inline="always", error_model="numpy")
 def advance(block, held):
     """Move the jaws of all lanes in `todo` to where they are to go, and measure what has become of the flaps.
 
@@ -210,3 +210,58 @@ def jaws_in(block, lane, out):
     half = (1.0 - block.grip[lane, COMPRESSION]) * height / 2
     dx, dy = -math.sin(theta) * half, math.cos(theta) * half
     out[0], out[1], out[2], out[3] = x - dx, y - dy, x + dx, y + dy
+
+
+@njit(error_model="numpy")
+def _of(blocks, b, scratch, factors, work, rod_strain):
+    """Block b of blocks, whose arrays have one more dimension in front, with scratch arrays of the caller's."""
+    return Block(
+        blocks.flap[b],
+        blocks.sight[b],
+        blocks.free[b],
+        blocks.inner[b],
+        blocks.free_u[b],
+        blocks.inner_u[b],
+        blocks.here[b],
+        blocks.goal[b],
+        blocks.grip[b],
+        blocks.loads[b],
+        rod_strain,
+        blocks.points[b],
+        blocks.measured[b],
+        blocks.todo[b],
+        blocks.done[b],
+        scratch,
+        factors,
+        work,
+    )
+
+
+@njit(error_model="numpy")
+def borrowed(blocks, b):
+    """Block b without scratch arrays, for what computes no equilibrium."""
+    none = np.empty(0)
+    return _of(blocks, b, none, none, none, none)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def advance_blocks(blocks, held, first, last):
+    """`advance` blocks first to last, exclusive, where any lane is to move."""
+    scratch, factors = np.empty(SCRATCH * LANES), np.empty(FACTORS * LANES)
+    work, rod_strain = np.empty((4 + 4 * (FREE + INNER)) * LANES), np.empty(LANES)
+    for b in range(first, last):
+        waiting = False
+        for l in range(LANES):
+            waiting = waiting or blocks.todo[b, l]
+        if waiting:
+            advance(_of(blocks, b, scratch, factors, work, rod_strain), held)
+
+
+def new_blocks(count: int) -> Block:
+    """So many blocks without flaps: every array has one more dimension in front."""
+    return Block(*(np.repeat(array[None], count, axis=0) for array in new_block()))
+
+
+def block_of(blocks: Block, b: int) -> Block:
+    """Block b, a view."""
+    return Block(*(array[b] for array in blocks))

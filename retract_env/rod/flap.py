@@ -82,18 +82,20 @@ def _chain(flap, vertices, offsets, moduli, left, right, count, weight, bed, P, 
     P[SLACK * LANES + lane] = SLACKENS * (1.0 + 1.5 * poisson) / 12.0
     for k in range(3):
         P[(LOAD + k) * LANES + lane] = 0.0
-    unit = modulus * height
+    # one division a number: there are hundreds of slices
+    by_area = 1.0 / (modulus * height)
+    by_first, by_second = by_area / height, by_area / (height * height)
+    give = 2.0 * (1.0 + poisson) / SHEAR
     for e in range(count):
         stretch, couple, bend, shear = 0.0, 0.0, 0.0, 0.0
         for i in range(e * SLICES, (e + 1) * SLICES):
-            area = integrals[0, i] / unit
-            first = integrals[1, i] / (unit * height)
-            second = integrals[2, i] / (unit * height * height)
-            determinant = area * second - first * first
-            stretch += second / determinant
-            couple += first / determinant
-            bend += area / determinant
-            shear += 2.0 * (1.0 + poisson) / (SHEAR * area)
+            area, first = integrals[0, i] * by_area, integrals[1, i] * by_first
+            second = integrals[2, i] * by_second
+            share = 1.0 / (area * second - first * first)
+            stretch += second * share
+            couple += first * share
+            bend += area * share
+            shear += give / area
         stretch, couple, bend, shear = stretch / SLICES, couple / SLICES, bend / SLICES, shear / SLICES
         if e == held:
             stretch *= 1.0 + STRETCHED_ROOT / P[LENGTH * LANES + lane]
@@ -120,7 +122,7 @@ SMALLEST_PART = 1.0 / 64.0
 """Part of a move below which it is not cut any further."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(inline="always", error_model="numpy")
 def move(free, inner, Uf, Ui, here, goal, todo, W, Z, loads, done):
     """Move the jaws of the lanes in todo straight from here to goal, (4 LANES,) each: x, y, theta and push.
 

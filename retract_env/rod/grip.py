@@ -59,21 +59,30 @@ def load() -> tuple[Array, Array]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def features(flap, vertices, offsets, moduli, x, c, shape, out):
-    """FEATURES of a squeeze by c at x, m, into out. flap: numbers as `retract_env.rod.flap` has them."""
+def compliances(flap, vertices, offsets, moduli, x, out):
+    """Compliance of the columns around x, m, over that of plain tissue, into out (PLACES,); at the flap's ends
+    that of the last column goes on. flap: numbers as `retract_env.rod.flap` has them."""
     height, length = flap[HEIGHT], flap[LENGTH_M]
-    w, d, nu = flap[JAW_WIDTH] / height, flap[DEPTH] / height, flap[POISSON]
-    at, stiffness = np.empty(PLACES), np.empty(PLACES)
+    at = np.empty(PLACES)
     for i in range(PLACES):
         place = x + (i - PLACES // 2) * APART * height
         at[i] = min(max(place, -length), 0.0)
-    columns(length, height, flap[MODULUS], vertices, offsets, moduli, at, stiffness)
+    columns(length, height, flap[MODULUS], vertices, offsets, moduli, at, out)
+    for i in range(PLACES):
+        out[i] = flap[MODULUS] / (height * out[i])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def features(flap, around, x, c, shape, out):
+    """FEATURES of a squeeze by c at x, m, into out. around: of `compliances`."""
+    height, length = flap[HEIGHT], flap[LENGTH_M]
+    w, d, nu = flap[JAW_WIDTH] / height, flap[DEPTH] / height, flap[POISSON]
     total, compliance = 0.0, 0.0
     for i in range(PLACES):
         beyond = max(abs(i - PLACES // 2) * APART - shape[1] * w / 2, 0.0)
         weight = math.exp(-beyond / shape[0])
         total += weight
-        compliance += weight * flap[MODULUS] / (height * stiffness[i])
+        compliance += weight * around[i]
     stiff = -math.log(compliance / total)
     deep = d * d / (d * d + DEEP * DEEP)
     log_w = math.log(w)
@@ -98,9 +107,10 @@ ROOT, STIFF, PUSHED, FREE_MOMENT, SETTLED, BENT, PUSHING = range(7)
 @njit(cache=True, nogil=True, error_model="numpy")
 def grip(flap, vertices, offsets, moduli, x, laws, out):
     """What is kept of the grip at x, m, into out (GRIP,)."""
-    found = np.empty(laws.shape[1] - SHAPE)
+    found, around = np.empty(laws.shape[1] - SHAPE), np.empty(PLACES)
+    compliances(flap, vertices, offsets, moduli, x, around)
     for law in range(2):
-        features(flap, vertices, offsets, moduli, x, 1.0, laws[law, :SHAPE], found)
+        features(flap, around, x, 1.0, laws[law, :SHAPE], found)
         a, b, c = 0.0, 0.0, 0.0
         for i in range(len(found)):
             term = laws[law, SHAPE + i] * found[i]

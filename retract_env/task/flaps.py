@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from retract_env.physics.rod import flap_numbers, laws, sight_numbers
-from retract_env.rod.block import STATE, Block, new_block
+from retract_env.rod.block import STATE, new_blocks
 from retract_env.rod.chain import LANES
 from retract_env.scene import Scene, sample_scene
 from retract_env.scene import flaps as drawn
@@ -34,7 +34,7 @@ class Flaps:
 
     def __init__(self, n: int, task: TaskConfig, ranges: SceneRanges, sensors: Sensors):
         blocks = -(-n // LANES)
-        self.blocks = _repeated(new_block(), blocks)
+        self.blocks = new_blocks(blocks)
         weights = task.weights.model_dump()
         low, high = bounds(task)
         hidden = np.zeros(SIZE, np.bool_)
@@ -180,11 +180,6 @@ class Flaps:
             padded[:n] = kept[f"block.{name}"]
             by_lane = padded.reshape(len(array), LANES, rows)
             array[...] = by_lane if array.ndim == 3 else by_lane.transpose(0, 2, 1).reshape(len(array), -1)
-
-
-def _repeated(block: Block, count: int) -> Block:
-    many: tuple[Any, ...] = tuple(np.repeat(array[None], count, axis=0) for array in block)
-    return Block(*many)
 
 
 class Workers:

@@ -44,7 +44,9 @@ def test_the_row_that_is_kept_says_the_same_as_the_features() -> None:
     for c in (0.05, 0.3):
         for law, found in enumerate(grip.squeeze(kept(), c)):
             row = np.empty(len(grip.FEATURES))
-            grip.features(PLAIN, *NO_VEINS, X, c, laws[law, : grip.SHAPE], row)
+            around = np.empty(grip.PLACES)
+            grip.compliances(PLAIN, *NO_VEINS, X, around)
+            grip.features(PLAIN, around, X, c, laws[law, : grip.SHAPE], row)
             expected = c * np.exp(row @ laws[law, grip.SHAPE :])
             if law == 0:
                 expected *= PLAIN[6] / PLAIN[1]
