@@ -1,5 +1,7 @@
 """Steps a second of the retraction task on rods: python -m benchmarks.rod_speed.
 
+With --soak STEPS instead so many random steps: what memory they take, how many episodes were given up.
+
 Only the environments' own work is timed, on two threads unless told otherwise; what chooses the actions is
 not, but for the last line: PPO's rollout as `retract train` makes it, with its untrained network on one
 thread, the normalisation of observations and the log, on as many cores as there are.
@@ -8,8 +10,11 @@ thread, the normalisation of observations and the log, on as many cores as there
 from __future__ import annotations
 
 import argparse
+import math
+import os
 import time
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -34,7 +39,7 @@ ROLLOUT = 256
 
 
 def eased_actions(observations: Floats) -> Floats:
-    """Actions (n, 3) along eased paths for flaps as `sample_scene` draws them; observations (n, SIZE)."""
+    """Actions (n, 3) along eased paths for flaps of `sample_scene`, from observations (n, SIZE)."""
     seen = {name: observations[:, part].astype(np.float64) for name, part in SLICES.items()}
     holding = seen["holding"][:, 0] > 0
     target, slope = seen["target"][:, 0] * LENGTH, seen["slope"][:, 0]
@@ -105,11 +110,53 @@ def rollouts(count: int, steps: int) -> tuple[float, float, float]:
     return count * steps / seconds, float(np.mean(lengths)), float(np.mean(agent.model.ep_success_buffer))
 
 
+def resident() -> float:
+    """MB of memory that this process has now; nan where the system is not Linux."""
+    statm = Path("/proc/self/statm")
+    return (
+        int(statm.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6 if statm.exists() else math.nan
+    )
+
+
+def soak(envs: gym.vector.VectorEnv, steps: int) -> None:
+    """Random steps of all together, as many as asked or a few more; raises where one is out of bounds."""
+    rng, space = np.random.default_rng(0), envs.single_observation_space
+    assert isinstance(space, gym.spaces.Box)
+    rounds = -(-steps // envs.num_envs)
+    ended, diverged, memory = 0, 0, [0.0, 0.0]
+    envs.reset(seed=0)
+    start = time.perf_counter()
+    for k in range(rounds):
+        chosen = rng.uniform(-1, 1, (envs.num_envs, 3))
+        observations, rewards, terminated, truncated, infos = envs.step(chosen)
+        if not ((observations >= space.low) & (observations <= space.high)).all() or np.isnan(rewards).any():
+            raise ArithmeticError(f"round {k}: an observation or a reward out of bounds")
+        over = terminated | truncated
+        ended += int(over.sum())
+        if over.any():
+            diverged += int((infos["final_info"]["failure"][over] == "diverged").sum())
+        if k == rounds // 100:  # by then all code has been loaded, all room taken
+            memory[0] = resident()
+        if (k + 1) % (rounds // 10 + 1) == 0:
+            progress(f"{(k + 1) * envs.num_envs:,} steps")
+    memory[1], seconds = resident(), time.perf_counter() - start
+    rows: list[tuple[object, ...]] = [
+        ("steps", f"{rounds * envs.num_envs:,}"),
+        ("seconds, with choosing and checking", f"{seconds:,.0f}"),
+        ("episodes", f"{ended:,}"),
+        ("of them diverged", f"{diverged:,}, {1e6 * diverged / max(ended, 1):.1f} in a million"),
+        ("memory after 1 % of the steps, MB", f"{memory[0]:.1f}"),
+        ("memory at the end, MB", f"{memory[1]:.1f}"),
+    ]
+    print(table(("", ""), rows))
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--envs", type=int, default=1024)
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--steps", type=int, default=100)
+    parser.add_argument("--soak", type=int, metavar="STEPS")
     options = parser.parse_args(arguments)
     print(machine())
     envs = gym.make_vec(
@@ -119,6 +166,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         threads=options.threads,
         autoreset_mode="SameStep",
     )
+    if options.soak:
+        soak(envs, options.soak)
+        envs.close()
+        return
     envs.action_space.seed(0)
     rows: list[tuple[object, ...]] = []
     for name, act in (("eased paths", eased_actions), ("random", lambda _: envs.action_space.sample())):

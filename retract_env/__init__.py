@@ -1,9 +1,9 @@
 """What tissue is and how it behaves: scenes, grasps, meshes, physics and the objectives of a retraction.
 
 Importing the package registers an environment with Gymnasium for every physics: `TissueRetract-v0`,
-`TissueRetractFEM-v0`, `TissueRetractRod-v0`. So it loads gymnasium, also for who only plans: an id that is not registered does not
-exist, and `gym.make("retract_env:TissueRetract-v0")` imports this package and nothing more of it. That costs
-0.07 s beyond numpy, which everything here needs; nothing heavier is imported.
+`TissueRetractFEM-v0`, `TissueRetractRod-v0`. So it loads gymnasium, also for who only plans: an id that is
+not registered does not exist, and `gym.make("retract_env:TissueRetract-v0")` imports this package and nothing
+more of it. That costs 0.07 s beyond numpy, which everything here needs; nothing heavier is imported.
 """
 
 from gymnasium.envs.registration import register, registry

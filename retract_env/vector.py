@@ -1,7 +1,7 @@
 """Many flaps at once: the retraction task on rods as Gymnasium's vector environment.
 
-The flaps are computed side by side (`retract_env.task.lanes`), on all cores. This file is the shell around it:
-arguments, spaces, seeds, threads, what infos look like.
+The flaps are computed side by side (`retract_env.task.lanes`), on all cores. This file is the shell around
+it: arguments, spaces, seeds, threads, what infos look like.
 """
 
 from __future__ import annotations
@@ -19,11 +19,15 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
+from retract_env.compilation import announce
 from retract_env.env import Settings, read_grasp, read_scene
 from retract_env.errors import Diverged, SceneError
 from retract_env.grasp import Grasp
+from retract_env.mesh.jaws import jaw_range, patch_ends
 from retract_env.physics.registry import physics_kind
-from retract_env.scene import Scene
+from retract_env.physics.rod import COMPILES
+from retract_env.rod.block import advance_blocks
+from retract_env.scene import Jaws, Scene
 from retract_env.scene.pcg64 import state_of
 from retract_env.scene.sampling import SceneRanges
 from retract_env.task import Sensors, TaskConfig, actions
@@ -65,30 +69,32 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
     ## Description
 
     `TissueRetractRod-v0` for many flaps at once, in one process and on all cores:
-    `gym.make_vec("TissueRetractRod-v0", num_envs=1024, scene="random")`. Task, spaces, rewards and infos are those
-    of `TissueRetractEnv` with `physics="rod"`. Environment k is the same, to the last bit, whatever `num_envs` and
-    the number of threads are, and the same as a single one with its seed.
+    `gym.make_vec("TissueRetractRod-v0", num_envs=1024, scene="random")`. Task, spaces, rewards and infos are
+    those of `TissueRetractEnv` with `physics="rod"`. Environment k is the same, to the last bit, whatever
+    `num_envs` and the number of threads are, and the same as a single one with its seed.
 
     ## Arguments
 
     Those of the single environment, but for pixels and rendering, and:
 
     - `num_envs`: how many.
-    - `autoreset_mode` (`"NextStep"`): `gymnasium.vector.AutoresetMode`, or its value. With `"SameStep"` the last
-      observation and info of an episode are in `infos["final_obs"]` and `infos["final_info"]`. With `"Disabled"`
-      nothing begins anew by itself: `reset(options={"reset_mask": (num_envs,) bool})` does it.
+    - `autoreset_mode` (`"NextStep"`): `gymnasium.vector.AutoresetMode`, or its value. With `"SameStep"` the
+      last observation and info of an episode are in `infos["final_obs"]` and `infos["final_info"]`. With
+      `"Disabled"` nothing begins anew by itself: `reset(options={"reset_mask": (num_envs,) bool})` does it.
     - `threads` (`None`): how many compute; None is one a core that this process may use.
 
     ## Reset
 
     `reset(seed=...)`: an int seeds environment k with seed + k; a list has a seed, or None, for each. Without
     a seed the generators go on. `options`: `scene`, `grasp` and `line_of_sight` as the single environment has
-    them, for all environments that are reset, and `reset_mask`. `set_scene` puts any scene into any slot, for good.
+    them, for all environments that are reset, and `reset_mask`. `set_scene` puts any scene into any slot, for
+    good.
 
     ## Look-ahead
 
-    `get_state()` copies where all environments stand, generators too, and `set_state` returns there, any number of
-    times; `state.repeated(k, n)` is the state of n environments like the k-th, to try n continuations at once.
+    `get_state()` copies where all environments stand, generators too, and `set_state` returns there, any
+    number of times; `state.repeated(k, n)` is the state of n environments like the k-th, to try n
+    continuations at once.
     """
 
     metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
@@ -118,8 +124,8 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
         ):
             if value not in allowed:
                 raise ValueError(f"{name} = {value!r}, allowed {', '.join(str(a) for a in allowed)}")
-        for name, number in (("num_envs", num_envs), ("threads", threads)):
-            if number is not None and (isinstance(number, bool) or number != int(number) or number < 1):
+        for name, number in (("num_envs", num_envs), ("threads", 1 if threads is None else threads)):
+            if isinstance(number, bool) or not isinstance(number, int | np.integer) or number < 1:
                 raise ValueError(f"{name} = {number!r}, allowed a whole number from 1 on")
         self.num_envs = int(num_envs)
         given = {"task": task, "ranges": ranges, "sensors": sensors}
@@ -143,6 +149,7 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
         """whose next episode has to be prepared: at first, and where the one under way was an exception"""
         self._begun = np.zeros(self.num_envs, np.bool_)
         self._plain = np.full(self.num_envs, MODES[AutoresetMode.DISABLED], np.int8)
+        announce(advance_blocks, "the rods' kernels", COMPILES)
         self._workers = Workers(threads or cores())
 
     # --- Episodes
@@ -159,23 +166,31 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
         """
         options = dict(options or {})
         mask = self._mask(options.pop("reset_mask", None))
+        each = self._each_seed(seed)
         if unknown := set(options) - {"scene", "grasp", "line_of_sight"}:
             raise ValueError(f"options: unknown {', '.join(sorted(unknown))}")
         source = read_scene(options["scene"]) if "scene" in options else None
         grasp = read_grasp(options["grasp"]) if "grasp" in options else None
-        for k, one in zip(np.flatnonzero(mask), self._each_seed(seed)[mask], strict=True):
-            if one is not None or self._seeds[k] is None:
-                generator, self._seeds[k] = seeding.np_random(one)
+        line = options.get("line_of_sight")
+        if line is None and "line_of_sight" in options:
+            raise ValueError("line_of_sight = None, allowed a camera and a target")
+        self._begun &= ~mask  # should one of them fail
+        for k in np.flatnonzero(mask):
+            if each[k] is not None or self._seeds[k] is None:
+                generator, self._seeds[k] = seeding.np_random(each[k])
                 self._flaps.lanes.rng[k] = state_of(generator)
             if options or self._special[k]:
-                self._prepare(int(k), source, options.get("line_of_sight"), grasp)
+                self._prepare(int(k), source, line, grasp)
         self._begin(mask)
         self._begun |= mask
         return self._flaps.told.observation.copy(), infos_of(self._flaps.told.info, mask)
 
     def step(self, actions: ArrayLike) -> tuple[NDArray[np.float32], Array, Flags, Flags, dict[str, Any]]:
-        """One step of all. Raises ValueError for what are no actions, ResetNeeded before the first reset, and for
-        environments that are over where nothing begins anew by itself."""
+        """One step of all.
+
+        Raises ValueError for what are no actions, ResetNeeded before the first reset, and for environments
+        that are over where nothing begins anew by itself.
+        """
         chosen = self._checked(actions)
         flaps, told, over = self._flaps, self._flaps.told, self._flaps.lanes.over
         if not self._begun.all():
@@ -199,9 +214,11 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
         late = ended & self._special if self.autoreset_mode == AutoresetMode.SAME_STEP else None
         if late is not None and late.any():
             told.last_observation[late], told.last_info[late] = told.observation[late], told.info[late]
+            self._begun &= ~late  # should one of them fail
             for k in np.flatnonzero(late):
                 self._prepare(int(k))
             self._begin(late)
+            self._begun |= late
         infos = infos_of(told.info, np.ones(self.num_envs, np.bool_))
         if self.autoreset_mode == AutoresetMode.SAME_STEP and ended.any():
             last = np.full(self.num_envs, None, dtype=object)
@@ -218,7 +235,12 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
         )
 
     def set_scene(self, k: int, scene: str | Mapping[str, Any] | Scene | None) -> None:
-        """Give environment k this scene, "random" for a new one each time, from its next episode on."""
+        """Give environment k this scene, "random" for a new one each time, from its next episode on.
+
+        Raises ValueError (SceneError) for another k or what is no scene.
+        """
+        if not 0 <= k < self.num_envs:
+            raise ValueError(f"k = {k!r}, allowed 0 to {self.num_envs - 1}")
         self._sources[k] = read_scene(scene)
         self._special[k] = True
 
@@ -232,40 +254,51 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
         """Have environment k's next episode begin on what is given, else on what is its own."""
         scene = source or self._sources[k]
         grip = grasp or self._grasp
-        self._special[k] = source is not None or line is not None or grasp is not None
-        if scene == "random" and (line is not None or grip == "spring"):
+        special = source is not None or line is not None or grasp is not None
+        self._special[k] = True  # should this fail
+        if scene == "random" and (line is not None or not self._suits_all(grip)):
             # drawn here, as the single environment draws it
             scene = self._flaps.sample(k, self._ranges)
-            self._special[k] = True
+            special = True
         if line is not None and isinstance(scene, Scene):
             scene = Scene.from_data(scene.dump() | {"line_of_sight": line})
         if isinstance(scene, Scene):
             self._flaps.put(k, scene)
             if grip == "spring":
-                grip = spring_grasps(scene)[0]
+                stable = spring_grasps(scene)
+                if not stable:
+                    raise Diverged(f"environment {k}: the spring model knows no grasp of its flap")
+                grip = stable[0]
             if isinstance(grip, Grasp):
                 grip.check_inside(scene.tissue.length, scene.tissue.height)
+                patch_ends(scene, grip.x)
         else:
             self._flaps.put_random(k)
         self._flaps.lanes.given[k] = (grip.x, grip.compression) if isinstance(grip, Grasp) else np.nan
+        self._special[k] = special
+
+    def _suits_all(self, grip: Grasp | str) -> bool:
+        """Whether all random flaps can be grasped like this, without a look at each."""
+        if not isinstance(grip, Grasp):
+            return grip == "agent"
+        length, height = self._ranges.length[0], self._ranges.height[0]
+        low, high = jaw_range(length, Jaws().width)
+        return low <= grip.x <= high and grip.compression < height
 
     def _begin(self, mask: Flags) -> None:
         flaps, told = self._flaps, self._flaps.told
         told.renewed[:], told.failed[:] = mask, False
         self._workers.run(begin_range, flaps)
+        if told.failed.any():
+            k = int(told.failed.argmax())
+            raise SceneError(f"environment {k}: no room for the veins of a random flap")
         if not np.isnan(flaps.lanes.given[mask]).all():
             self._workers.run(take_range, flaps)
             self._workers.run(advance_range, flaps)
             self._workers.run(settle_range, flaps, True)
-        self._check(told.failed)
+            if told.failed.any():
+                raise Diverged(f"environment {int(told.failed.argmax())}: the grasp could not be squeezed")
         self._workers.run(show_range, flaps, told.renewed, self._plain)
-
-    def _check(self, failed: Flags) -> None:
-        if failed.any():
-            k = int(failed.argmax())
-            if np.isnan(self._flaps.lanes.given[k, 0]):
-                raise SceneError(f"environment {k}: no room for the veins of a random flap")
-            raise Diverged(f"environment {k}: the grasp could not be squeezed")
 
     def _mask(self, mask: Any) -> Flags:
         if mask is None:
@@ -291,7 +324,10 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
         return out
 
     def _checked(self, given: ArrayLike) -> Array:
-        numbers = np.asarray(given, dtype=np.float64)
+        try:
+            numbers = np.asarray(given, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise ValueError(f"actions = {given!r}, allowed numbers".replace("\n", " ")) from None
         if numbers.shape != (self.num_envs, actions.SIZE):
             raise ValueError(f"actions have shape {numbers.shape}, allowed ({self.num_envs}, {actions.SIZE})")
         if not np.isfinite(numbers).all():
@@ -311,11 +347,15 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
             tuple(self._sources),
             tuple(self._seeds),
             self._special.copy(),
+            self._grasp,
         )
 
     def set_state(self, state: VectorState) -> None:
-        """Have all go on from there; raises TypeError for no state, ValueError for one of others or of another
-        task."""
+        """Have all go on from there, with the scenes and the grasp of their next episodes.
+
+        Raises TypeError for what is no state, ValueError for one of another number of environments or of
+        another task; nothing has changed then.
+        """
         if not isinstance(state, VectorState):
             raise TypeError(f"state is a {type(state).__name__}, allowed a VectorState")
         if len(state.sources) != self.num_envs:
@@ -324,7 +364,7 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
             raise ValueError("state: of another task")
         self._flaps.set_state(state.arrays)
         self._sources, self._seeds = list(state.sources), list(state.seeds)
-        self._special[:] = state.special
+        self._special[:], self._grasp = state.special, state.grasp
         self._begun[:] = True
 
     @property
@@ -334,6 +374,7 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
 
     def close_extras(self, **kwargs: Any) -> None:
         """End the threads; a later step starts them anew."""
+        del kwargs
         self._workers.close()
 
 
@@ -347,12 +388,19 @@ class VectorState:
     sources: tuple[Scene | str, ...]
     seeds: tuple[int | None, ...]
     special: Flags
+    grasp: Grasp | str
 
     def repeated(self, k: int, n: int) -> VectorState:
-        """The state of n environments that all stand where the k-th does."""
+        """The state of n environments that all stand where the k-th does. Raises ValueError for no such k."""
+        if not 0 <= k < len(self.sources):
+            raise ValueError(f"k = {k!r}, allowed 0 to {len(self.sources) - 1}")
+        if n < 1:
+            raise ValueError(f"n = {n!r}, allowed a whole number from 1 on")
         arrays = {name: np.repeat(array[k : k + 1], n, axis=0) for name, array in self.arrays.items()}
         special = np.full(n, self.special[k])
-        return VectorState(self.task, arrays, (self.sources[k],) * n, (self.seeds[k],) * n, special)
+        return VectorState(
+            self.task, arrays, (self.sources[k],) * n, (self.seeds[k],) * n, special, self.grasp
+        )
 
 
 def infos_of(rows: Array, mask: Flags) -> dict[str, Any]:
@@ -363,7 +411,8 @@ def infos_of(rows: Array, mask: Flags) -> dict[str, Any]:
         out[~mask] = kind()
         return out
 
-    failure = np.where(mask, _NAMES[rows[:, FAILURE].astype(np.int64)], None)
+    failure = _NAMES[rows[:, FAILURE].astype(np.int64)]
+    failure[~mask] = None
     cost = {"strain": told(rows[:, COST_STRAIN]), "friction": told(rows[:, COST_FRICTION])}
     terms = {name: told(rows[:, REWARD_TERMS + i]) for i, name in enumerate(TERMS)}
     plain = {

@@ -1,7 +1,7 @@
 """The flap as a planar rod: the physics that is fast enough to learn and to search on.
 
-What it computes and what it leaves out is said in `retract_env.rod`; how far it is from fine finite elements in
-docs/rod.md.
+What it computes and what it leaves out is said in `retract_env.rod`; how far it is from fine finite elements
+in docs/rod.md.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from retract_env.compilation import announce
 from retract_env.errors import Diverged
 from retract_env.mesh import SectionMesh, patch_ends
 from retract_env.physics.base import TissueState
@@ -24,6 +25,9 @@ from retract_env.rod.flap import FREE, INNER
 from retract_env.rod.section import ROWS, columns_of, section_of
 from retract_env.scene import Scene
 from retract_env.spring.columns import veins_of
+
+COMPILES = 60.0
+"""s that the kernels of all of this usually take to compile, once, on the two cores of a virtual machine."""
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -72,14 +76,16 @@ class RodPhysics:
         resolution: str = "rod",
         stop_when: Callable[[TissueState], bool] | None = None,  # noqa: ARG002
     ):
-        """jaw_x: m, where the jaws grasp. Raises ValueError for a place off the flap, or an unknown resolution."""
+        """jaw_x: m, where the jaws grasp. Raises ValueError for a place off the flap or a resolution."""
         if resolution not in self.resolutions:
             raise ValueError(f"resolution = {resolution!r}, allowed {', '.join(self.resolutions)}")
         patch_ends(scene, jaw_x)
         self.scene, self.jaw_x = scene, jaw_x
         self._veins = veins_of(scene.tissue)
+        announce(rods.advance_blocks, "the rod's kernels", COMPILES)
         self._laws, self._held = laws()
-        self._block = rods.new_block()
+        self._blocks = rods.new_blocks(1)
+        self._block = rods.block_of(self._blocks, 0)
         self._block.flap[0], self._block.sight[0] = flap_numbers(scene), sight_numbers(scene)
         self._columns = columns_of(scene.tissue.length, scene.tissue.height, jaw_x)
         self.section = _section(scene, self._columns)
@@ -124,7 +130,7 @@ class RodPhysics:
 
     def _go(self, x: float, y: float, theta: float) -> None:
         rods.aim(self._block, 0, x, y, theta)
-        rods.advance(self._block, self._held)
+        rods.advance_blocks(self._blocks, self._held, 0, 1)
         if not self._block.done[0]:
             raise Diverged("no equilibrium of the rod was found")
 
@@ -141,7 +147,7 @@ class RodPhysics:
         return RodState(self.scene.hash, self.jaw_x, lane, self._progress, self._state)
 
     def set_state(self, state: object) -> None:
-        """Go on from there. Raises TypeError for no such state, ValueError for that of another flap or grasp."""
+        """Go on from there. Raises TypeError for no state, ValueError for that of another flap or grasp."""
         if not isinstance(state, RodState):
             raise TypeError(f"state is a {type(state).__name__}, allowed a RodState")
         if (state.scene_hash, state.jaw_x) != (self.scene.hash, self.jaw_x):

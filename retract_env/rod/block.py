@@ -1,7 +1,8 @@
 """LANES flaps side by side, each between jaws of its own: what environments and planners step.
 
-A block is a tuple of arrays, so that compiled code takes it as it is. `hold` puts a flap into a lane, `close` and
-`aim` say what its jaws do next, `advance` moves the jaws of all lanes and measures what has become of the flaps.
+A block is a tuple of arrays, so that compiled code takes it as it is. `hold` puts a flap into a lane, `close`
+and `aim` say what its jaws do next, `advance` moves the jaws of all lanes and measures what has become of the
+flaps.
 """
 
 from __future__ import annotations
@@ -26,11 +27,12 @@ from retract_env.rod.flap import (
     INNER_UNKNOWNS,
     JAW_WIDTH,
     NUMBERS,
+    POISSON,
     build,
     lay_flat,
     move,
 )
-from retract_env.rod.grip import COMPRESSION, GRIP, PUSH, ROOT, grip, squeeze
+from retract_env.rod.grip import COMPRESSION, GRIP, NORMAL, PUSH, PUSHED, ROOT, STIFF, grip
 from retract_env.rod.measures import (
     CLEARANCE,
     COLUMNS,
@@ -130,17 +132,19 @@ def new_block() -> Block:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def close(block, lane, x, compression, vertices, offsets, moduli, held):
-    """Have the jaws of a lane, which grasp at x, m, closed by a compression, over the height, from the next move
-    on. held: of `grip.load`."""
+    """Have the jaws of a lane, which grasp at x, m, closed by a compression, over the height, from the next
+    move on. held: of `grip.load`."""
     block.grip[lane, COMPRESSION] = compression
-    root = held[ROOT] * compression
+    kept = block.grip[lane]
+    kept[PUSH] = held[PUSHED] * block.flap[lane, POISSON] / 2 * compression * math.exp(kept[NORMAL])
+    root = max(held[ROOT] * compression - held[STIFF], 0.0)
     build(block.flap[lane], vertices, offsets, moduli, x, root, block.free, block.inner, lane)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def hold(block, lane, x, compression, vertices, offsets, moduli, laws, held):
-    """Let the flap of a lane lie flat between jaws at x, m, that close by a compression, over the height, with the
-    next move.
+    """Let the flap of a lane lie flat between jaws at x, m, that close by a compression, over the height,
+    with the next move.
 
     vertices, offsets, moduli: of its veins, see `retract_env.spring.columns`; laws, held: of `grip.load`.
     """
@@ -156,14 +160,14 @@ def hold(block, lane, x, compression, vertices, offsets, moduli, laws, held):
 @njit(cache=True, nogil=True, error_model="numpy")
 def aim(block, lane, x, y, theta):
     """Have the jaws of a lane move to x, y, m, and theta, rad, next."""
-    height, kept = block.flap[lane, HEIGHT], block.grip[lane]
+    height = block.flap[lane, HEIGHT]
     block.goal[lane], block.goal[LANES + lane] = x / height, y / height
     block.goal[2 * LANES + lane] = theta
-    block.goal[3 * LANES + lane] = kept[PUSH] * squeeze(kept, kept[COMPRESSION])[0]
+    block.goal[3 * LANES + lane] = block.grip[lane, PUSH]
     block.todo[lane] = True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(inline="always", error_model="numpy")
 def advance(block, held):
     """Move the jaws of all lanes in `todo` to where they are to go, and measure what has become of the flaps.
 
@@ -206,3 +210,58 @@ def jaws_in(block, lane, out):
     half = (1.0 - block.grip[lane, COMPRESSION]) * height / 2
     dx, dy = -math.sin(theta) * half, math.cos(theta) * half
     out[0], out[1], out[2], out[3] = x - dx, y - dy, x + dx, y + dy
+
+
+@njit(error_model="numpy")
+def _of(blocks, b, scratch, factors, work, rod_strain):
+    """Block b of blocks, whose arrays have one more dimension in front, with scratch arrays of the caller's."""
+    return Block(
+        blocks.flap[b],
+        blocks.sight[b],
+        blocks.free[b],
+        blocks.inner[b],
+        blocks.free_u[b],
+        blocks.inner_u[b],
+        blocks.here[b],
+        blocks.goal[b],
+        blocks.grip[b],
+        blocks.loads[b],
+        rod_strain,
+        blocks.points[b],
+        blocks.measured[b],
+        blocks.todo[b],
+        blocks.done[b],
+        scratch,
+        factors,
+        work,
+    )
+
+
+@njit(error_model="numpy")
+def borrowed(blocks, b):
+    """Block b without scratch arrays, for what computes no equilibrium."""
+    none = np.empty(0)
+    return _of(blocks, b, none, none, none, none)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def advance_blocks(blocks, held, first, last):
+    """`advance` blocks first to last, exclusive, where any lane is to move."""
+    scratch, factors = np.empty(SCRATCH * LANES), np.empty(FACTORS * LANES)
+    work, rod_strain = np.empty((4 + 4 * (FREE + INNER)) * LANES), np.empty(LANES)
+    for b in range(first, last):
+        waiting = False
+        for l in range(LANES):
+            waiting = waiting or blocks.todo[b, l]
+        if waiting:
+            advance(_of(blocks, b, scratch, factors, work, rod_strain), held)
+
+
+def new_blocks(count: int) -> Block:
+    """So many blocks without flaps: every array has one more dimension in front."""
+    return Block(*(np.repeat(array[None], count, axis=0) for array in new_block()))
+
+
+def block_of(blocks: Block, b: int) -> Block:
+    """Block b, a view."""
+    return Block(*(array[b] for array in blocks))

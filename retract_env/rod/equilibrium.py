@@ -1,7 +1,7 @@
 """Chains brought into stable equilibrium: Newton's method, then with a line search, or not at all.
 
-Lanes are as in `retract_env.rod.chain`: what happens in one changes no bit in another, and lanes that are done
-stay as they are.
+Lanes are as in `retract_env.rod.chain`: what happens in one changes no bit in another, and lanes that are
+done stay as they are.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""One flap's section as a mesh of two triangles an element: where its points are, how strained it is, jaw forces.
+"""One flap's section as a mesh of two triangles an element: where its points are, strains, jaw forces.
 
 What a `TissueState` says besides what is measured: pictures and observations of a single flap are made of it.
 """
@@ -38,8 +38,8 @@ def section_of(
 ) -> tuple[Array, Array, Array, Array, Array]:
     """What one lane's section looks like.
 
-    Returns points (ROWS COLUMNS, 2) m; mean strain of each triangle (TRIANGLES,); jaws (4,) m; reactions (2, 2) N,
-    tissue on jaw; where at rest the flap is strained most (2,) m.
+    Returns points (ROWS COLUMNS, 2) m; mean strain of each triangle (TRIANGLES,); jaws (4,) m; reactions
+    (2, 2) N, tissue on jaw; where at rest the flap is strained most (2,) m.
     """
     points, strain = np.empty((ROWS * COLUMNS, 2)), np.empty(TRIANGLES)
     jaws, reactions, spot = np.empty(4), np.empty((2, 2)), np.empty(2)

@@ -75,8 +75,8 @@ def elements(tissue: Tissue, left: float, right: float, count: int) -> Elements:
 def moments(first, step, half, modulus, vertices, offsets, moduli, out):
     """Integrals of E, E y and E y^2 over the height, y from the axis, into out (3, n): N/m, N, N m.
 
-    At x = first + step i, m; half: of the height, m; modulus: of the tissue, Pa; vertices (v, 2) m, offsets (k + 1,)
-    into them and moduli (k,) Pa: of the veins, counter-clockwise. Any units that agree will do.
+    At x = first + step i, m; half: of the height, m; modulus: of the tissue, Pa; vertices (v, 2) m, offsets
+    (k + 1,) into them and moduli (k,) Pa: of the veins, counter-clockwise. Any units that agree will do.
     """
     count = out.shape[1]
     for i in range(count):
@@ -94,7 +94,7 @@ def moments(first, step, half, modulus, vertices, offsets, moduli, out):
             # counter-clockwise, an edge that goes left closes a chord from above
             sign = more if x0 > x1 else -more
             low, high = min(x0, x1), max(x0, x1)
-            i = max(0, int(math.ceil((low - first) / step)) - 1)
+            i = max(0, math.ceil((low - first) / step) - 1)
             while i < count and first + step * i < low:
                 i += 1
             while i < count and first + step * i < high:

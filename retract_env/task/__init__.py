@@ -1,16 +1,8 @@
 """The task that agents learn: actions, observation, reward, end of an episode, and what users may change."""
 
 from retract_env.task.config import TaskConfig, Weights
-from retract_env.task.observation import (
-    HIGH,
-    KEYPOINTS,
-    LAYOUT,
-    LOW,
-    SIZE,
-    SLICES,
-    STIFFNESS_SAMPLES,
-    Sensors,
-)
+from retract_env.task.observation import HIGH, LAYOUT, LOW, SIZE, SLICES, Sensors
+from retract_env.task.rules import KEYPOINTS, STIFFNESS_SAMPLES
 from retract_env.task.situation import Situation
 from retract_env.task.task import Outcome, RetractionTask, default_scene, sound
 

@@ -1,7 +1,7 @@
 """What a batch of environments is made of: rows of arrays, and the numbers that are alike for all.
 
-`Lanes` has an environment a row, n of them, whatever block of rods they are in: environment i is lane i % LANES of
-block i // LANES.
+`Lanes` has an environment a row, n of them, whatever block of rods they are in: environment i is lane
+i % LANES of block i // LANES.
 """
 
 from __future__ import annotations

@@ -8,49 +8,15 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 from numba import njit
 
-from retract_env.rod.block import Block, advance
-from retract_env.rod.chain import LANES, SCRATCH
-from retract_env.rod.flap import FACTORS, FREE, INNER
+from retract_env.rod.block import advance_blocks, borrowed
+from retract_env.rod.chain import LANES
 from retract_env.task.lanes import act, begin, hold_on, look, settle, take
 from retract_env.task.shown import observe_now, tell
 
 NEXT_STEP, SAME_STEP, DISABLED = range(3)
 """When an episode that is over is followed by a new one, as Gymnasium has it."""
-
-
-@njit(error_model="numpy")
-def _block(blocks, b, scratch, factors, work, rod_strain):
-    """Block b of blocks, whose arrays have one more dimension in front, with scratch arrays of the caller's."""
-    return Block(
-        blocks.flap[b],
-        blocks.sight[b],
-        blocks.free[b],
-        blocks.inner[b],
-        blocks.free_u[b],
-        blocks.inner_u[b],
-        blocks.here[b],
-        blocks.goal[b],
-        blocks.grip[b],
-        blocks.loads[b],
-        rod_strain,
-        blocks.points[b],
-        blocks.measured[b],
-        blocks.todo[b],
-        blocks.done[b],
-        scratch,
-        factors,
-        work,
-    )
-
-
-@njit(error_model="numpy")
-def _borrowed(blocks, b):
-    """Block b without scratch arrays, for what computes no equilibrium."""
-    none = np.empty(0)
-    return _block(blocks, b, none, none, none, none)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -60,7 +26,7 @@ def act_range(blocks, lanes, rules, told, first, last, actions, modes):
     modes (n,): when an episode that is over is followed by a new one; those that are now are noted in told.
     """
     for b in range(first, last):
-        block = _borrowed(blocks, b)
+        block = borrowed(blocks, b)
         for i in range(b * LANES, min((b + 1) * LANES, len(lanes.steps))):
             told.renewed[i] = modes[i] == NEXT_STEP and lanes.over[i]
             if told.renewed[i]:
@@ -69,25 +35,17 @@ def act_range(blocks, lanes, rules, told, first, last, actions, modes):
                 act(lanes, rules, block, i, actions[i])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def advance_range(blocks, lanes, rules, told, first, last):
+def advance_range(blocks, lanes, rules, told, first, last):  # noqa: ARG001, as all rounds
     """Move the jaws in blocks first to last, exclusive, that are to move."""
-    scratch, factors = np.empty(SCRATCH * LANES), np.empty(FACTORS * LANES)
-    work, rod_strain = np.empty((4 + 4 * (FREE + INNER)) * LANES), np.empty(LANES)
-    for b in range(first, last):
-        waiting = False
-        for l in range(LANES):
-            waiting = waiting or blocks.todo[b, l]
-        if waiting:
-            advance(_block(blocks, b, scratch, factors, work, rod_strain), rules.held)
+    advance_blocks(blocks, rules.held, first, last)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def settle_range(blocks, lanes, rules, told, first, last, fresh):
-    """What the step has led to in blocks first to last, exclusive; with fresh, what closing a given grasp has led
-    to in new episodes."""
+    """What the step has led to in blocks first to last, exclusive; with fresh, what closing a given grasp has
+    led to in new episodes."""
     for b in range(first, last):
-        block = _borrowed(blocks, b)
+        block = borrowed(blocks, b)
         for i in range(b * LANES, min((b + 1) * LANES, len(lanes.steps))):
             if not fresh and not told.renewed[i]:
                 settle(lanes, rules, block, i, told)
@@ -104,7 +62,7 @@ def show_range(blocks, lanes, rules, told, first, last, wanted, modes):
     Of those whose episode is over and followed by another in the same step, the row is kept as the last one.
     """
     for b in range(first, last):
-        block = _borrowed(blocks, b)
+        block = borrowed(blocks, b)
         for i in range(b * LANES, min((b + 1) * LANES, len(lanes.steps))):
             if wanted[i]:
                 observe_now(lanes, rules, block, i, told.observation[i])
@@ -119,7 +77,7 @@ def show_range(blocks, lanes, rules, told, first, last, wanted, modes):
 def begin_range(blocks, lanes, rules, told, first, last):
     """New episodes in blocks first to last, exclusive, where told.renewed."""
     for b in range(first, last):
-        block = _borrowed(blocks, b)
+        block = borrowed(blocks, b)
         for i in range(b * LANES, min((b + 1) * LANES, len(lanes.steps))):
             if told.renewed[i]:
                 told.failed[i] = not begin(lanes, rules, block, i)
@@ -129,16 +87,16 @@ def begin_range(blocks, lanes, rules, told, first, last):
 def take_range(blocks, lanes, rules, told, first, last):
     """Have given grasps close in new episodes in blocks first to last, exclusive."""
     for b in range(first, last):
-        block = _borrowed(blocks, b)
+        block = borrowed(blocks, b)
         for i in range(b * LANES, min((b + 1) * LANES, len(lanes.steps))):
             if told.renewed[i] and not told.failed[i] and not math.isnan(lanes.given[i, 0]):
                 take(lanes, rules, block, i, lanes.given[i, 0], lanes.given[i, 1])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def look_range(blocks, lanes, rules, told, first, last):
+def look_range(blocks, lanes, rules, told, first, last):  # noqa: ARG001
     """Note what does not change while an environment has its flap, in blocks first to last, exclusive."""
     for b in range(first, last):
-        block = _borrowed(blocks, b)
+        block = borrowed(blocks, b)
         for i in range(b * LANES, min((b + 1) * LANES, len(lanes.steps))):
             look(lanes, block, i)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from retract_env.physics.rod import flap_numbers, laws, sight_numbers
-from retract_env.rod.block import STATE, Block, new_block
+from retract_env.rod.block import STATE, new_blocks
 from retract_env.rod.chain import LANES
 from retract_env.scene import Scene, sample_scene
 from retract_env.scene import flaps as drawn
@@ -33,8 +34,7 @@ class Flaps:
 
     def __init__(self, n: int, task: TaskConfig, ranges: SceneRanges, sensors: Sensors):
         blocks = -(-n // LANES)
-        one = new_block()
-        self.blocks = Block(*(np.repeat(array[None], blocks, axis=0) for array in one))
+        self.blocks = new_blocks(blocks)
         weights = task.weights.model_dump()
         low, high = bounds(task)
         hidden = np.zeros(SIZE, np.bool_)
@@ -158,6 +158,7 @@ class Flaps:
         """Copies of all that n environments go on from, n rows each."""
         n = len(self.lanes.steps)
         kept = {name: array.copy() for name, array in self.lanes._asdict().items()}
+        kept["observation"] = self.told.observation.copy()
         for name in STATE:
             array = getattr(self.blocks, name)
             if array.ndim == 2:
@@ -168,7 +169,10 @@ class Flaps:
     def set_state(self, kept: Mapping[str, NDArray[Any]]) -> None:
         """Go on from there."""
         n = len(self.lanes.steps)
+        room = self.lanes.vertices.shape[1], self.lanes.moduli.shape[1]
         self.lanes = Lanes(**{name: kept[name].copy() for name in Lanes._fields})
+        self._make_room(*room)  # a state may come from where flaps have fewer veins
+        self.told.observation[...] = kept["observation"]
         for name in STATE:
             array = getattr(self.blocks, name)
             rows = array.shape[-1] if array.ndim == 3 else array.shape[-1] // LANES
@@ -191,14 +195,14 @@ class Workers:
         count = len(flaps.blocks.flap)
         threads = min(self.threads, count)
         ends = [count * k // threads for k in range(threads + 1)]
-        ranges = list(zip(ends[:-1], ends[1:], strict=True))
-        common = flaps.blocks, flaps.lanes, flaps.rules, flaps.told
+        ranges = list(pairwise(ends))
+        common: tuple[Any, ...] = flaps.blocks, flaps.lanes, flaps.rules, flaps.told
         if threads == 1:
             kernel(*common, 0, count, *arguments)
             return
         if self._pool is None or self._process != os.getpid():  # a forked process has no threads
             self._pool, self._process = ThreadPoolExecutor(self.threads - 1), os.getpid()
-        waiting = [self._pool.submit(kernel, *common, *ends, *arguments) for ends in ranges[1:]]
+        waiting = [self._pool.submit(kernel, *common, *part, *arguments) for part in ranges[1:]]
         kernel(*common, *ranges[0], *arguments)
         for one in waiting:
             one.result()

@@ -1,4 +1,4 @@
-"""Episodes on rods side by side: what `Episode` and `RetractionTask` do for one flap, for all lanes of a block.
+"""Episodes on rods side by side: what `Episode` and `RetractionTask` do for one flap, for a block's lanes.
 
 Everything here is compiled, needs no Python while it runs, and treats a lane as if it were alone; `Lanes` and
 `Rules` are in `retract_env.task.arrays`.
@@ -121,7 +121,7 @@ def begin(lanes, rules, block, i):
 
 @njit(**INSIDE)
 def act(lanes, rules, block, i, action):
-    """Have environment i's jaws close or move as an action (3,) within [-1, 1] says, once its block advances."""
+    """Have environment i's jaws close or move as an action (3,) in [-1, 1] says, at the next `advance`."""
     lane = i % LANES
     if lanes.holding[i]:
         pose = lanes.pose[i]

@@ -1,7 +1,7 @@
 """What is observed, rewarded and judged, as compiled formulas on plain numbers, for many flaps at once.
 
 `RetractionTask` and `objectives` say the same for one flap, as a reader wants to read it. Here is what a batch of
-environments computes instead; tests hold both together, to the last bit. `observe` and `along` serve both.
+environments computes instead; tests hold both together, to the last bit. `observe` and `keypoints` serve both.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ import numpy as np
 
 import retract_env  # noqa: F401  (registers the environments)
 
-FEM, BULLET = "TissueRetractFEM-v0", "TissueRetract-v0"
+FEM, BULLET, ROD = "TissueRetractFEM-v0", "TissueRetract-v0", "TissueRetractRod-v0"
 LIFT = np.array([0.1, 0.9, -0.9], np.float32)
 
 

@@ -23,7 +23,7 @@ from retract_env.physics.registry import PHYSICS
 from retract_env.rollout import rollout
 from retract_env.scene import sample_scene
 from retract_env.task import SIZE, SLICES, TaskConfig, default_scene
-from tests.retract_env.playing import BULLET, FEM, LIFT, digest, play
+from tests.retract_env.playing import BULLET, FEM, LIFT, ROD, digest, play
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -43,8 +43,9 @@ OPTIONS: list[dict[str, Any]] = [
 CASES = [
     *(
         pytest.param(name, options, id=f"{name}-{k}")
-        for name in (FEM, BULLET)
+        for name in (FEM, BULLET, ROD)
         for k, options in enumerate(OPTIONS)
+        if name != ROD or "resolution" not in options
     ),
     pytest.param(BULLET, {"camera": "3d", "render_mode": "rgb_array"}, id=f"{BULLET}-3d"),
 ]
@@ -95,7 +96,7 @@ def test_episodes_on_a_kept_flap_are_those_on_a_new_one(make: Callable[..., Tiss
     assert said == [digest(play(other, 1)), digest(play(make(grasp="spring"), 2)), said[0]]
 
 
-@pytest.mark.parametrize("names", [(FEM, FEM), (BULLET, BULLET), (FEM, BULLET)], ids="-".join)
+@pytest.mark.parametrize("names", [(FEM, FEM), (BULLET, BULLET), (FEM, BULLET), (ROD, ROD)], ids="-".join)
 def test_interleaved_environments_do_not_know_of_each_other(
     make: Callable[..., TissueRetractEnv], names: tuple[str, str]
 ) -> None:

@@ -12,7 +12,7 @@ import pytest
 from gymnasium.error import ResetNeeded
 
 from retract_env.env import TissueRetractEnv
-from tests.retract_env.playing import BULLET, FEM, LIFT, digest
+from tests.retract_env.playing import BULLET, FEM, LIFT, ROD, digest
 
 COPY: dict[str, Callable[[Any], Any]] = {
     "deepcopy": copy.deepcopy,
@@ -39,8 +39,9 @@ def go_on(env: TissueRetractEnv, steps: int) -> list[Any]:
         (FEM, {"scene": "random", "grasp": "spring"}),
         (FEM, {"scene": "random", "sensors": {"noise": 0.01}, "obs": "state"}),
         (BULLET, {"grasp": {"x": -0.03, "compression": 1e-3}}),
+        (ROD, {"scene": "random", "sensors": {"noise": 0.01}}),
     ],
-    ids=["fem", "noisy", "bullet"],
+    ids=["fem", "noisy", "bullet", "rod"],
 )
 def test_a_copy_goes_on_as_the_original(
     make: Callable[..., TissueRetractEnv], how: Any, name: str, options: dict[str, Any]

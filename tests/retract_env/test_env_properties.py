@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from retract_env.rollout import rollout
 from retract_env.scene import LineOfSight
 from retract_env.task import SIZE, SLICES, TaskConfig, Weights, default_scene
-from tests.retract_env.playing import BULLET, FEM
+from tests.retract_env.playing import BULLET, FEM, ROD
 
 seeds = st.integers(0, 2**31 - 1)
 
@@ -23,7 +23,7 @@ seeds = st.integers(0, 2**31 - 1)
 def coarse(name: str, **options: Any) -> Any:
     if name == BULLET:
         pytest.importorskip("pybullet")
-    return gym.make(name, resolution="coarse", **options).unwrapped
+    return gym.make(name, resolution=None if name == ROD else "coarse", **options).unwrapped
 
 
 def check_episode(env: Any, policy: Any, seed: int, options: dict[str, Any] | None = None) -> str:
@@ -88,7 +88,7 @@ class Upwards:
         return (self.rng.uniform(0.3, 1) * lift).astype(np.float32)
 
 
-@pytest.mark.parametrize("name", [FEM, BULLET])
+@pytest.mark.parametrize("name", [FEM, BULLET, ROD])
 @settings(max_examples=8, deadline=None, derandomize=True)
 @given(seeds, st.sampled_from([Rough, Upwards]))
 def test_random_actions_in_random_scenes(name: str, seed: int, policy: Any) -> None:
@@ -98,7 +98,7 @@ def test_random_actions_in_random_scenes(name: str, seed: int, policy: Any) -> N
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [FEM, BULLET])
+@pytest.mark.parametrize("name", [FEM, BULLET, ROD])
 @settings(max_examples=100, deadline=None)
 @given(seeds, st.sampled_from([Rough, Upwards]), st.sampled_from(["agent", "spring"]))
 def test_many_random_actions_in_random_scenes(name: str, seed: int, policy: Any, grasp: str) -> None:
@@ -107,7 +107,7 @@ def test_many_random_actions_in_random_scenes(name: str, seed: int, policy: Any,
     env.close()
 
 
-@pytest.mark.parametrize("name", [FEM, pytest.param(BULLET, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", [FEM, pytest.param(BULLET, marks=pytest.mark.slow), ROD])
 @pytest.mark.parametrize("first", list(product([-1.0, 1.0], repeat=2)), ids=str)
 def test_extremes_held_to_the_end(name: str, first: tuple[float, float]) -> None:
     """Each corner of the grasps, then each corner of the moves for as long as it lasts."""

@@ -24,7 +24,7 @@ from retract_env.physics.fem import FemPhysics, FemState
 from retract_env.physics.registry import PHYSICS, PhysicsKind
 from retract_env.scene import Scene, load_scene
 from tests.retract_env.physics.test_physics_fem import GRASP, at_rest, same_bits, veined
-from tests.retract_env.playing import BULLET, FEM, LIFT, digest
+from tests.retract_env.playing import BULLET, FEM, LIFT, ROD, digest
 
 ROOT = Path(__file__).resolve().parents[2]
 HELD = {"x": -0.03, "compression": 1e-3}
@@ -34,6 +34,7 @@ KINDS: dict[str, tuple[str, dict[str, Any]]] = {
     "fem": (FEM, {"scene": "ten_veins"}),
     "noisy": (FEM, {"scene": "random", "sensors": {"noise": 0.01}}),
     "bullet": (BULLET, {"scene": "random", "sensors": {"noise": 0.01}}),
+    "rod": (ROD, {"scene": "random", "sensors": {"noise": 0.01}}),
 }
 
 

@@ -53,7 +53,7 @@ def test_what_a_line_says_is_so(kind: PhysicsKind) -> None:
 def test_each_is_made_and_answers(kind: PhysicsKind) -> None:
     if kind.needs and find_spec(kind.needs) is None:
         pytest.skip(f"{kind.needs} is not installed")
-    physics = kind.make(default_scene(), -0.03, "coarse")
+    physics = kind.make(default_scene(), -0.03, kind.resolutions[0])
     assert physics.reset().progress == 0 == physics.state().progress
     physics.close()
 
@@ -75,7 +75,8 @@ def test_a_missing_package_is_named_with_the_command_that_installs_it(
         TissueRetractEnv("still")
     assert str(caught.value) == (
         'physics = "still" needs no_such_package: pip install no-such-package; '
-        "TissueRetractFEM-v0, on the finite elements, needs nothing more"
+        "TissueRetractFEM-v0, on the finite elements, or TissueRetractRod-v0, on a planar rod, "
+        "needs nothing more"
     )
 
 
