@@ -43,9 +43,9 @@ Array = NDArray[np.float64]
 FOLDER = Path("out/rod")
 SETS = {
     "fit": (20_000, 100),
-    "calibration": (30_000, 150),
+    "calibration": (30_000, 100),
     "test": (40_000, 200),
-    "wide": (50_000, 60),
+    "wide": (50_000, 54),
     "squeezes": (60_000, 300),
 }
 """First seed and number of flaps."""

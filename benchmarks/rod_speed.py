@@ -2,8 +2,9 @@
 
 With --soak STEPS instead so many random steps: what memory they take, how many episodes were given up.
 
-Only the environments' own work is timed, on two threads unless told otherwise; what chooses the actions is
-not, but for the last line, a rollout of PPO with its network.
+Only the environments' own work is timed, on two threads unless told otherwise; what chooses the actions is not,
+but for the last line: PPO's rollout as `retract train` makes it, with its untrained network on one thread, the
+normalisation of observations and the log, on as many cores as there are.
 """
 
 from __future__ import annotations
@@ -33,6 +34,8 @@ TASK, LENGTH, HEIGHT, WIDTH = TaskConfig(), 0.05, 4.4e-3, 1e-3
 FIRMER = 1.3
 """times the compression that the planner tries first: most flaps hold at once"""
 INCREMENTS = 12
+ROLLOUT = 256
+"""flaps in PPO's rollout"""
 
 
 def eased_actions(observations: Floats) -> Floats:
@@ -84,6 +87,27 @@ def timed(
         if over.any():
             succeeded += int(infos["final_info"]["is_success"][over].sum())
     return envs.num_envs * steps / seconds, envs.num_envs * steps / max(ended, 1), succeeded / max(ended, 1)
+
+
+def rollouts(count: int, steps: int) -> tuple[float, float, float]:
+    """As `timed`, of PPO's rollouts in `count` environments, but that the last two are of 100 episodes."""
+    from baselines.learning.agents import Agent
+    from baselines.learning.envs import make_envs
+    from baselines.learning.recipe import Recipe, load_recipe
+
+    data = load_recipe("ppo").dump()
+    data["task"]["physics"], data["learner"]["rollout"] = "rod", steps
+    recipe = Recipe.from_data(data)
+    envs = make_envs(recipe, count)
+    agent = Agent(recipe, envs, 0)
+    agent.model.train = lambda: None
+    agent.learn(1, lambda _: None)  # a whole rollout
+    start = time.perf_counter()
+    agent.learn(1, lambda _: None)
+    seconds = time.perf_counter() - start
+    envs.close()
+    lengths = [episode["l"] for episode in agent.model.ep_info_buffer]
+    return count * steps / seconds, float(np.mean(lengths)), float(np.mean(agent.model.ep_success_buffer))
 
 
 def resident() -> float:
@@ -169,6 +193,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     rows.append(
         ("one flap, resets not counted", f"{count / seconds:,.0f}", f"{count / max(ends, 1):.1f}", "")
     )
+    progress(f"{ROLLOUT} flaps, PPO")
+    speed, long, success = rollouts(ROLLOUT, options.steps)
+    name = f"{ROLLOUT} flaps, PPO's rollout with its network"
+    rows.append((name, f"{speed:,.0f}", f"{long:.1f}", f"{100 * success:.0f}"))
     print(table(("", "steps/s", "steps an episode", "successes, %"), rows))
 
 

@@ -59,9 +59,9 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
     the tissue and without losing hold. Stiffer veins may run through the flap. The problem is that of Jansen,
     Hauser, Chentanez, van der Stappen and Goldberg, IROS 2009.
 
-    `TissueRetractFEM-v0` computes the flap by quasi-static finite elements, `TissueRetract-v0` as a soft body
-    of PyBullet (installed with the rest where it has wheels: CPython 3.10 and 3.11 on Linux, x86-64;
-    elsewhere `pip install "retract[bullet]"` compiles it); spaces, rewards and meaning are the same.
+    `TissueRetractFEM-v0` computes the flap by quasi-static finite elements, `TissueRetractRod-v0` as a rod,
+    `TissueRetract-v0` as a soft body of PyBullet (with wheels on CPython 3.10 and 3.11 on Linux, x86-64, else
+    `pip install "retract[bullet]"` compiles it); spaces, rewards and meaning are the same.
 
     The flap fills x in [-length, 0], y in [0, height] at rest and is fixed at x = 0. Gravity acts along -y,
     the camera looks from the upper left.
@@ -169,13 +169,13 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
 
     All can be written as JSON.
 
-    - `physics` (`"bullet"`): a name of `retract_env.physics.registry.PHYSICS`, `"bullet"` or `"fem"`.
+    - `physics` (`"bullet"`): a name of `retract_env.physics.registry.PHYSICS`: `"bullet"`, `"fem"`, `"rod"`.
     - `scene` (`None`): path of a scene's YAML file, a scene as plain data (`Scene.dump()`), `"random"` for a
       new one from the seed at each reset, or None for the paper's flap without veins.
     - `grasp` (`"agent"`): `"agent"` lets the first action choose; `"spring"` takes the best grasp of the
       spring model at reset; `{"x": m, "compression": m}` takes this one.
     - `resolution` (`None`): `"coarse"`, `"medium"`, `"fine"`, ...; None is `"coarse"` for fem, `"medium"` for
-      bullet.
+      bullet; the rod has `"rod"` alone.
     - `obs` (`"state"`): `"state"` or `"pixels"`.
     - `camera` (`"section"`): what frames show, `"section"`, or `"3d"` for Bullet's own picture (`rgb_array`).
     - `render_mode` (`None`): `"rgb_array"`, frames of 640 x 480, or `"human"`.

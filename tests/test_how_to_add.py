@@ -110,6 +110,7 @@ def test_a_benchmark_method(monkeypatch: pytest.MonkeyPatch) -> None:
         "number": 0,
         "scene": default_scene().dump(),
         "resolution": "coarse",
+        "policy_physics": "fem",
         "policy_resolution": "coarse",
         "lead_out": 0,
         "seed": 0,

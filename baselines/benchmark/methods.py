@@ -1,6 +1,6 @@
 """What competes: planners, trained policies, a random one, and doing nothing. Each hands in grasp and path.
 
-A policy is played in `TissueRetractFEM-v0`, and what its jaws did is what it hands in. The certifier judges
+A policy is played in the environment on the benchmark's physics, and what its jaws did is what it hands in. The certifier judges
 all alike. `compete` is the work of one method on one scene, for `run_tasks`.
 """
 
@@ -27,7 +27,7 @@ from retract_env.physics.registry import PHYSICS
 from retract_env.rollout import Decide, rollout
 from retract_env.scene import Scene
 
-FEM, BULLET = PHYSICS["fem"].env_id, PHYSICS["bullet"].env_id
+BULLET = PHYSICS["bullet"].env_id
 
 
 def _random(item: WorkItem) -> Decide:
@@ -104,7 +104,8 @@ class _Timed:
 def compete(task: WorkItem) -> Row:
     """One method on one scene, judged. The row's `timing` alone differs from run to run.
 
-    task: method, split, number, scene, resolution, policy_resolution, lead_out, seed, transfer.
+    task: method, split, number, scene, resolution, policy_physics, policy_resolution, lead_out, seed,
+    transfer.
     """
     method, scene = Method(**task["method"]), Scene.from_data(task["scene"])
     handed = _planned(method, scene, task) if method.kind == "planner" else _played(method, scene, task)
@@ -157,11 +158,12 @@ def acting(method: Method, task: WorkItem) -> Decide:
 
 
 def _played(method: Method, scene: Scene, task: WorkItem) -> HandedIn:
-    """What the jaws did, and a few moves more like the last where the coarser mesh of the environment saw the
+    """What the jaws did, and a few moves more like the last where the environment, on a coarser mesh, saw the
     target: the certifier stops at visibility."""
     start = time.perf_counter()
     timed = _Timed(acting(method, task))
-    env: Any = gym.make(FEM, resolution=task["policy_resolution"], disable_env_checker=True).unwrapped
+    name = PHYSICS[task["policy_physics"]].env_id
+    env: Any = gym.make(name, resolution=task["policy_resolution"], disable_env_checker=True).unwrapped
     try:
         played = rollout(env, timed, seed=0, options={"scene": scene.dump(), "grasp": "agent"})
         grasp, path = env.episode.grasp, env.episode.path

@@ -10,8 +10,9 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import Field
 
-from retract_env.config import Frozen, Listed, config_file, read_yaml, whole
+from retract_env.config import Frozen, Listed, config_file, one_of, read_yaml, whole
 from retract_env.errors import ConfigError
+from retract_env.physics.registry import PHYSICS
 from retract_env.scene import Scene, sample_scene
 from retract_env.scene.sampling import SceneRanges
 
@@ -59,6 +60,8 @@ class Benchmark(_Part):
     """Of the certifier."""
     policy_resolution: str
     """Of the environment that policies move in."""
+    policy_physics: Annotated[str, one_of(PHYSICS)] = "fem"
+    """Likewise."""
     lead_out: Annotated[int, whole(0, 64)]
     """Moves like its last that a policy's path goes on for, as the finer mesh may clear later."""
     seed: Annotated[int, whole(0, 2**31)]
@@ -69,6 +72,13 @@ class Benchmark(_Part):
     """Judged on every scene."""
     slow_planners: Annotated[tuple[str, ...], Listed] = ()
     """Judged on the first `slow` scenes of a split only."""
+
+    def played_in(self, physics: str) -> Benchmark:
+        """The same with policies that move in another physics, at its own resolution. Raises BenchmarkError."""
+        resolution = PHYSICS[physics].resolution if physics in PHYSICS else ""
+        return self.from_data(
+            self.model_dump(mode="json") | {"policy_physics": physics, "policy_resolution": resolution}
+        )
 
 
 def hash_of(scenes: list[Scene]) -> str:

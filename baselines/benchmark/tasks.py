@@ -84,6 +84,7 @@ def tasks_of(
                         "number": number,
                         "scene": scene.dump(),
                         "resolution": benchmark.resolution,
+                        "policy_physics": benchmark.policy_physics,
                         "policy_resolution": benchmark.policy_resolution,
                         "lead_out": benchmark.lead_out,
                         "seed": benchmark.seed,

@@ -12,6 +12,7 @@ from baselines.cli.work import (
     BenchmarkOption,
     ClusterOption,
     JobsOption,
+    check_physics,
     command_line,
     expected,
     frozen_scenes,
@@ -50,9 +51,10 @@ def benchmark_command(
         from baselines.learning.policies import TRAINED, load_policy
 
         about = load_benchmark(frozen_scenes(benchmark))
+        check_physics(about.policy_physics, about.policy_resolution)
         methods = chosen(methods_of(about, policies or TRAINED), method)
         tasks = tasks_of(about, methods, split or list(about.splits), scenes, transfer)
-        announce_compilation()
+        announce_compilation("fem", about.policy_physics)
         with usable_folder(out), going_on(lambda: "the same command goes on where it stopped"):
             rows = run_with_bar(tasks, compete, out / ".benchmark.jsonl", jobs, cluster, "benchmark")
             curves: dict[str, list[Any]] = {}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
@@ -50,32 +50,41 @@ def writing(path: Path) -> Iterator[None]:
         raise BadInput(f"cannot write {problem.filename or path}: {why(problem)}") from None
 
 
-COMPILATION = 20.0
-"""s that the first run usually compiles for, on the two cores of a virtual machine."""
+COMPILATION = {"finite-element": 20.0, "rod": 100.0}
+"""s that the first run usually compiles these kernels for, on the two cores of a virtual machine."""
 TOLD_EVERY = 5.0
 """s between two lines about it, where there is no terminal to draw a bar in."""
 
 
-def announce_compilation(physics: str = "fem") -> None:
+def announce_compilation(*physics: str) -> None:
     """Have the kernels compiled if they never were, and show it: it takes long enough that a user wonders.
 
-    physics: what the command computes with; it needs kernels of its own.
+    physics: what the command computes with, the finite elements if not given; each needs kernels of its own.
     """
     import retract_env.fem
 
-    if retract_env.fem.kernels_are_cached(physics):
-        return
+    for name in physics or ("fem",):
+        if name == "rod":
+            from retract_env.compilation import is_cached
+            from retract_env.task.batch import advance_range
+
+            if not is_cached(advance_range):
+                _compile("rod", _use_every_kernel_of_rods)
+        elif not retract_env.fem.kernels_are_cached(name):
+            _compile("finite-element", _use_every_kernel)
+
+
+def _compile(kernels: str, use: Callable[[], None]) -> None:
+    """Show a bar, or a line now and then, while what uses the kernels compiles them."""
     from numba.core.event import install_recorder
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    console, start, over = Console(), time.monotonic(), threading.Event()
-    typer.echo(
-        f"first run: compiling the finite-element kernels, some {COMPILATION:.0f} s; they are then kept"
-    )
+    console, start, over, usual = Console(), time.monotonic(), threading.Event(), COMPILATION[kernels]
+    typer.echo(f"first run: compiling the {kernels} kernels, some {usual:.0f} s; they are then kept")
     columns = BarColumn(), TimeElapsedColumn(), TextColumn("{task.description}")
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("", total=COMPILATION)
+        task = bar.add_task("", total=usual)
 
         def tell() -> None:
             while not over.wait(0.2 if console.is_terminal else TOLD_EVERY):
@@ -85,13 +94,13 @@ def announce_compilation(physics: str = "fem") -> None:
                 kernel = ours[-1].__name__ if ours else "starting"
                 bar.update(task, completed=seconds, description=kernel)
                 if not console.is_terminal:
-                    typer.echo(f"  {seconds:.0f} s of some {COMPILATION:.0f}, now {kernel}")
+                    typer.echo(f"  {seconds:.0f} s of some {usual:.0f}, now {kernel}")
 
         with install_recorder("numba:compile") as recorder:
             teller = threading.Thread(target=tell, daemon=True)
             teller.start()
             try:
-                _use_every_kernel()
+                use()
             finally:
                 over.set()
                 teller.join()
@@ -109,6 +118,26 @@ def _use_every_kernel() -> None:
     grasp = SpringModel(scene.tissue).stable_grasps()[0]
     path = ctc(scene, grasp)
     certify(scene, grasp, JawPath(path.waypoints[:4], path.kind), "coarse")
+
+
+def _use_every_kernel_of_rods() -> None:
+    """An episode's beginning, in many environments as in one."""
+    import gymnasium as gym
+    import numpy as np
+
+    import retract_env  # noqa: F401  (registers the environments)
+
+    envs = gym.make_vec("TissueRetractRod-v0", 1, scene="random", autoreset_mode="SameStep")
+    env = gym.make("TissueRetractRod-v0", scene="random", disable_env_checker=True)
+    for reset, step, space in (
+        (envs.reset, envs.step, envs.action_space),
+        (env.reset, env.step, env.action_space),
+    ):
+        reset(seed=0)
+        for _ in range(2):
+            step(np.zeros(space.shape))
+    envs.close()
+    env.close()
 
 
 def why(problem: OSError) -> str:

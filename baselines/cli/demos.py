@@ -8,7 +8,17 @@ from typing import Annotated, Literal
 import typer
 
 from baselines.cli.console import BadInput, announce_compilation, exit_codes, usable_folder
-from baselines.cli.work import RUNS, ClusterOption, JobsOption, command_line, expected, going_on, run_with_bar
+from baselines.cli.work import (
+    RUNS,
+    ClusterOption,
+    JobsOption,
+    PhysicsOption,
+    check_physics,
+    command_line,
+    expected,
+    going_on,
+    run_with_bar,
+)
 
 
 def demos_command(
@@ -19,6 +29,7 @@ def demos_command(
     resolution: Annotated[
         Literal["fine", "medium", "coarse"], typer.Option(help="Mesh of the certificates.")
     ] = "coarse",
+    physics: PhysicsOption = "fem",
     journal: Annotated[
         Path | None, typer.Option(help="File that keeps what is done; RUNS/demos-PLANNER.jsonl if not given.")
     ] = None,
@@ -34,13 +45,20 @@ def demos_command(
         if planner not in PLANNERS:
             raise BadInput(f"unknown planner {planner!r}, allowed {', '.join(PLANNERS)}")
         name = dataset or f"tissue-retract/{planner}-v0"
+        check_physics(physics)
         demos.check_free(name)
         kept = journal or RUNS / f"demos-{planner}.jsonl"
         tasks = [
-            {"planner": planner, "resolution": resolution, "seed": first + k, "code": code_version()}
+            {
+                "planner": planner,
+                "resolution": resolution,
+                "physics": physics,
+                "seed": first + k,
+                "code": code_version(),
+            }
             for k in range(count)
         ]
-        announce_compilation()
+        announce_compilation("fem", physics)
         with usable_folder(kept.parent), going_on(lambda: "the same command goes on where it stopped"):
             rows = run_with_bar(tasks, demos.demonstrate, kept, jobs, cluster, name)
         typer.echo(demos.summary(rows))

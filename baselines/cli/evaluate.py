@@ -9,7 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from baselines.cli.console import announce_compilation, exit_codes
-from baselines.cli.work import BenchmarkOption, JobsOption, expected, frozen_scenes, run_with_bar
+from baselines.cli.work import (
+    BenchmarkOption,
+    JobsOption,
+    check_physics,
+    expected,
+    frozen_scenes,
+    run_with_bar,
+)
 
 if TYPE_CHECKING:
     from baselines.benchmark.references import Reference
@@ -20,6 +27,12 @@ def evaluate_command(
     split: Annotated[str, typer.Option(help="Which of the frozen scenes.")] = "validation",
     scenes: Annotated[int | None, typer.Option(min=1, help="Only so many.")] = None,
     transfer: Annotated[bool, typer.Option("--transfer", help="Play it on Bullet too.")] = False,
+    physics: Annotated[
+        str | None,
+        typer.Option(
+            help="In which it plays, of the benchmark's if not given: fem, rod, or one that was added."
+        ),
+    ] = None,
     jobs: JobsOption = None,
     benchmark: BenchmarkOption = None,
 ) -> None:
@@ -33,8 +46,11 @@ def evaluate_command(
         from baselines.benchmark.tasks import tasks_of
 
         about = load_benchmark(frozen_scenes(benchmark))
+        if physics is not None:
+            about = about.played_in(physics)
+        check_physics(about.policy_physics, about.policy_resolution)
         tasks = tasks_of(about, [Method.trained(policy)], [split], scenes, transfer)
-        announce_compilation()
+        announce_compilation("fem", about.policy_physics)
         rows = run_with_bar(tasks, compete, None, jobs, None, split)
         known = load_references(about.resolution)
         for row in rows:

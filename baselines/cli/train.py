@@ -6,7 +6,7 @@ import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -28,9 +28,12 @@ def train_command(
     seed: Annotated[int | None, typer.Option(min=0, help="0 if not given.")] = None,
     steps: Annotated[int | None, typer.Option(min=1, help="Instead of the recipe's.")] = None,
     envs: Annotated[
-        int | None, typer.Option(min=1, help="Environments side by side; one a core if not given.")
+        int | None,
+        typer.Option(min=1, help="Environments side by side; if not given the recipe's, or one a core."),
     ] = None,
-    physics: Annotated[Literal["fem", "bullet"] | None, typer.Option(help="Instead of the recipe's.")] = None,
+    physics: Annotated[
+        str | None, typer.Option(help="Instead of the recipe's: fem, rod, bullet, or one that was added.")
+    ] = None,
     start: Annotated[
         Path | None,
         typer.Option("--from", help="Policy to begin from: a folder, or the name of a shipped one."),
@@ -107,7 +110,8 @@ def _new_run(
     if recipe.task.scene == "random":
         split = load_benchmark(benchmark).splits["validation"]
         scenes = [scene.dump() for scene in split.scenes(recipe.evaluation.scenes)]
-    return Run(recipe, seed, envs or cores(), scenes, str(start) if start else None, demos, command_line())
+    count = envs or recipe.envs or cores()
+    return Run(recipe, seed, count, scenes, str(start) if start else None, demos, command_line())
 
 
 @contextmanager

@@ -24,6 +24,20 @@ ClusterOption = Annotated[
 BenchmarkOption = Annotated[
     Path | None, typer.Option("--benchmark", help="The frozen scenes; those that are shipped if not given.")
 ]
+PhysicsOption = Annotated[
+    str, typer.Option(help="Of the environment that is played in: fem, rod, bullet, or one that was added.")
+]
+
+
+def check_physics(name: str, resolution: str | None = None) -> None:
+    """Raise BadInput for an unknown physics or resolution, ImportError for one that is not installed."""
+    from retract_env.physics.registry import physics_kind
+
+    try:
+        kind = physics_kind(name)
+        kind.check(resolution or kind.resolution)
+    except ValueError as problem:
+        raise BadInput(str(problem)) from None
 
 
 def frozen_scenes(given: Path | None) -> Path:

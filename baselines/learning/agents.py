@@ -7,7 +7,7 @@ same course as one that was not.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -179,26 +179,27 @@ class _Watch(BaseCallback):
         super().__init__()
         self._tell, self._learner = on_step, learner
         self._critic_first: int = getattr(learner, "critic_first", 0)
-        self._terms: dict[int, dict[str, float]] = {}
-        """reward terms of the episodes under way, summed, by environment"""
 
     def _on_rollout_start(self) -> None:
         self._learner.let_actor_learn(self.model, self.num_timesteps >= self._critic_first)
 
     def _on_step(self) -> bool:
-        for place, (info, done) in enumerate(zip(self.locals["infos"], self.locals["dones"], strict=True)):
-            terms = self._terms.setdefault(place, {})
-            for name, value in info["reward_terms"].items():
-                terms[name] = terms.get(name, 0.0) + value
-            if done:
-                self._log(info, self._terms.pop(place))
+        infos = self.locals["infos"]
+        if last := [infos[place] for place in np.flatnonzero(self.locals["dones"])]:
+            self._log(last)
         self._tell(self.num_timesteps)
         return True
 
-    def _log(self, info: Mapping[str, Any], terms: Mapping[str, float]) -> None:
-        """Means over the episodes since the last line of the log."""
-        failure = "" if info["is_success"] else info["failure"] or "not_visible"
-        for reason in FAILURES:
-            self.logger.record_mean(f"failures/{reason}", float(failure == reason))
-        for name, value in terms.items():
-            self.logger.record_mean(f"rewards/{name}", value)
+    def _log(self, infos: Sequence[Mapping[str, Any]]) -> None:
+        """Means over the episodes since the last line of the log; infos: of those that are over now."""
+        logger = self.logger
+        failures = ["" if info["is_success"] else info["failure"] or "not_visible" for info in infos]
+        sums = {f"failures/{reason}": float(failures.count(reason)) for reason in FAILURES}
+        for name in infos[0]["episode_terms"]:
+            sums[f"rewards/{name}"] = sum(info["episode_terms"][name] for info in infos)
+        for name, value in sums.items():
+            # as `record_mean`, which takes a call for each episode and value: too slow beside rods
+            before = logger.name_to_count[name]
+            count = before + len(infos)
+            logger.record(name, (logger.name_to_value[name] * before + value) / count)
+            logger.name_to_count[name] = count

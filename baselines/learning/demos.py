@@ -32,9 +32,8 @@ SEED = 1
 both."""
 UNSAID = ("failure",)
 """What is not kept of the environment's `info`: no demonstration fails."""
-ENV = PHYSICS["fem"].env_id
 KWARGS: dict[str, Any] = {"scene": "random", "grasp": "agent"}
-"""The environment that the data set names."""
+"""Arguments of the environment that the data set names."""
 
 
 class DemosError(ConfigError):
@@ -58,7 +57,7 @@ def demo_scene(number: int) -> Scene:
 def demonstrate(task: WorkItem) -> Row:
     """Plan, certify and play one scene; work for `run_tasks`.
 
-    task: planner, resolution of its certificate, seed (the scene's number). The row has the certificate, None
+    task: planner, resolution of its certificate, physics of the environment, seed (the scene's number). The row has the certificate, None
     where none is certified, and the episode, None where the environment did not succeed too.
     """
     from planners import NoPlan, plan
@@ -71,7 +70,7 @@ def demonstrate(task: WorkItem) -> Row:
         return row | {"failure": str(none)}
     # the history can be made again; without it the certificate fits into a data set's attributes
     row["certificate"] = {k: v for k, v in best.certificate.to_json().items() if k != "history"}
-    env = gym.make(ENV, disable_env_checker=True, **KWARGS).unwrapped
+    env = gym.make(PHYSICS[task["physics"]].env_id, disable_env_checker=True, **KWARGS).unwrapped
     played = rollout(env, PathPolicy.of(best), seed=episode_seed(task["seed"]))
     env.close()
     if not played.success:
@@ -113,7 +112,7 @@ def write_dataset(name: str, rows: Sequence[Row], task: WorkItem, command: str) 
     good = [row for row in rows if row["episode"] is not None]
     if not good:
         raise DemosError(f"{len(rows)} scenes, none demonstrated: {rows[0]['failure']}")
-    env = gym.make(ENV, **KWARGS)
+    env = gym.make(PHYSICS[task["physics"]].env_id, **KWARGS)
     width, size = (gym.spaces.flatdim(space) for space in (env.observation_space, env.action_space))
     buffers = []
     for number, row in enumerate(good):

@@ -14,6 +14,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv, VecNormalize
 
 from baselines.learning.policies import Policy
+from baselines.learning.vec_env import BatchVecEnv
 from retract_env.env import TissueRetractEnv
 from retract_env.physics.registry import PHYSICS
 from retract_env.rollout import rollout
@@ -24,11 +25,27 @@ if TYPE_CHECKING:
 
 
 class Judged(gym.Wrapper[Any, Any, Any, Any]):
-    """An environment that can be asked to play a policy, so that those side by side share an evaluation."""
+    """An environment that can be asked to play a policy, so that those side by side share an evaluation.
+
+    The last info of an episode has `episode_terms`: the terms of the reward, each summed over the episode.
+    """
 
     def __init__(self, env: gym.Env[Any, Any], rank: int, of: int):
         super().__init__(env)
         self.rank, self.of = rank, of
+        self._terms: dict[str, float] = {}
+
+    def reset(self, **arguments: Any) -> tuple[Any, dict[str, Any]]:
+        self._terms = {}
+        return super().reset(**arguments)
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        observation, reward, terminated, truncated, info = super().step(action)
+        for name, value in info["reward_terms"].items():
+            self._terms[name] = self._terms.get(name, 0.0) + value
+        if terminated or truncated:
+            info = info | {"episode_terms": self._terms}
+        return observation, reward, terminated, truncated, info
 
     def play(self, policy: Policy, scenes: Sequence[Mapping[str, Any] | None]) -> list[dict[str, Any]]:
         """Outcome of an episode in each scene that is this environment's share; None is its own scene."""
@@ -64,16 +81,22 @@ def make_env(settings: EnvSettings, rank: int, of: int) -> gym.Env[Any, Any]:
 
 
 def make_envs(recipe: Recipe, count: int) -> VecNormalize:
-    """`count` environments, each in a process of its own unless there is but one."""
-    makers: list[Callable[[], gym.Env[Any, Any]]] = [
-        partial(make_env, recipe.task, rank, count) for rank in range(count)
-    ]
+    """`count` environments: in one process where the physics computes many at once or there is but one, else
+    each in a process of its own."""
+    kind = PHYSICS[recipe.task.physics]
     envs: VecEnv
-    if count == 1:
-        envs = DummyVecEnv(makers)
+    if kind.vector:
+        batch = gym.make_vec(kind.env_id, count, autoreset_mode="SameStep", **arguments(recipe.task))
+        envs = BatchVecEnv(batch)
     else:
-        with single_threaded():
-            envs = SubprocVecEnv(makers)
+        makers: list[Callable[[], gym.Env[Any, Any]]] = [
+            partial(make_env, recipe.task, rank, count) for rank in range(count)
+        ]
+        if count == 1:
+            envs = DummyVecEnv(makers)
+        else:
+            with single_threaded():
+                envs = SubprocVecEnv(makers)
     seen = recipe.observation
     return VecNormalize(envs, norm_reward=False, clip_obs=seen.clip, epsilon=seen.floor**2)
 
@@ -82,6 +105,12 @@ def judge(
     envs: VecNormalize, policy: Policy, scenes: Sequence[Mapping[str, Any] | None]
 ) -> list[dict[str, Any]]:
     """Outcomes in the order of the scenes; the episodes under way are lost."""
+    if isinstance(envs.unwrapped, BatchVecEnv):  # a single one is fast enough there
+        env = gym.make(policy.env["id"], disable_env_checker=True, **policy.env["kwargs"])
+        try:
+            return [outcome(env, policy, scene) for scene in scenes]
+        finally:
+            env.close()
     shares = envs.env_method("play", policy, scenes)
     return [shares[k % envs.num_envs][k // envs.num_envs] for k in range(len(scenes))]
 

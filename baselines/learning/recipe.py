@@ -94,12 +94,14 @@ def learner_of(algorithm: object) -> type[Learner]:
 
 
 class Recipe(Part):
-    """All that decides a training run, but the seed and how many environments run side by side."""
+    """All that decides a training run, but the seed, and how many environments run side by side unless it says."""
 
     algorithm: str
     """in `ALGORITHMS`"""
     steps: Count
     """Of all environments together; for bc, gradient steps."""
+    envs: Annotated[int, whole(1, 100_000)] | None = None
+    """Environments side by side unless told otherwise; None: one a core."""
     task: EnvSettings = EnvSettings()
     network: Network = Network()
     observation: Observation = Observation()
@@ -129,8 +131,11 @@ class Recipe(Part):
     def dump(self) -> dict[str, Any]:
         """Plain data that `from_data` and a YAML file take back."""
         data = self.model_dump(mode="json")
+        # runs from before there were these keep their hash
         if data["evaluation"]["checkpoint"] is None:
-            del data["evaluation"]["checkpoint"]  # runs from before there was one keep their hash
+            del data["evaluation"]["checkpoint"]
+        if data["envs"] is None:
+            del data["envs"]
         return data
 
 

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from retract_env.compilation import forget_old, is_cached
+
+forget_old()
+
 
 def kernels_are_cached(physics: str = "fem") -> bool:
     """Whether numba has on disk, compiled for this processor from these sources, what a physics needs of the
@@ -9,12 +13,6 @@ def kernels_are_cached(physics: str = "fem") -> bool:
 
     physics: any but "fem" needs the residual alone, which measures its states.
     """
-    from numba.core.registry import cpu_target
-
     from retract_env.fem import kernels
 
-    # numba has no public way to ask. Its index is empty where it is of other sources or of another numba;
-    # an entry's key is a signature, the processor, and hashes of the code.
-    kernel = kernels.tangent if physics == "fem" else kernels.residual
-    here = cpu_target.target_context.codegen().magic_tuple()
-    return any(key[1] == here for key in kernel._cache._cache_file._load_index())
+    return is_cached(kernels.tangent if physics == "fem" else kernels.residual)

@@ -27,23 +27,24 @@ from retract_env.rod.flap import (
     INNER_UNKNOWNS,
     JAW_WIDTH,
     NUMBERS,
+    POISSON,
     build,
     lay_flat,
     move,
 )
-from retract_env.rod.grip import COMPRESSION, GRIP, PUSH, ROOT, grip, squeeze
+from retract_env.rod.grip import COMPRESSION, GRIP, NORMAL, PUSH, PUSHED, ROOT, STIFF, grip
 from retract_env.rod.measures import (
     CLEARANCE,
     COLUMNS,
     IN_SIGHT,
     MEASURED,
     SIGHT,
-    clear_of,
     measure,
     surfaces,
     tool_clearance,
     worst_strain,
 )
+from retract_env.rod.outline import outlines
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -134,7 +135,9 @@ def close(block, lane, x, compression, vertices, offsets, moduli, held):
     """Have the jaws of a lane, which grasp at x, m, closed by a compression, over the height, from the next
     move on. held: of `grip.load`."""
     block.grip[lane, COMPRESSION] = compression
-    root = held[ROOT] * compression
+    kept = block.grip[lane]
+    kept[PUSH] = held[PUSHED] * block.flap[lane, POISSON] / 2 * compression * math.exp(kept[NORMAL])
+    root = max(held[ROOT] * compression - held[STIFF], 0.0)
     build(block.flap[lane], vertices, offsets, moduli, x, root, block.free, block.inner, lane)
 
 
@@ -157,10 +160,10 @@ def hold(block, lane, x, compression, vertices, offsets, moduli, laws, held):
 @njit(cache=True, nogil=True, error_model="numpy")
 def aim(block, lane, x, y, theta):
     """Have the jaws of a lane move to x, y, m, and theta, rad, next."""
-    height, kept = block.flap[lane, HEIGHT], block.grip[lane]
+    height = block.flap[lane, HEIGHT]
     block.goal[lane], block.goal[LANES + lane] = x / height, y / height
     block.goal[2 * LANES + lane] = theta
-    block.goal[3 * LANES + lane] = kept[PUSH] * squeeze(kept, kept[COMPRESSION])[0]
+    block.goal[3 * LANES + lane] = block.grip[lane, PUSH]
     block.todo[lane] = True
 
 
@@ -187,13 +190,13 @@ def advance(block, held):
         block.rod_strain[lane] = block.grip[lane, COMPRESSION]
     surfaces(block.free_u, block.inner_u, block.rod_strain, block.points)
     worst_strain(block.free, block.inner, block.free_u, block.inner_u, block.work, block.rod_strain)
+    outlines(block.points, block.flap, block.sight, block.done, block.measured)
     jaws = np.empty(4)
     for lane in range(LANES):
         block.todo[lane] = False
         if block.done[lane]:
             flap, sight, out = block.flap[lane], block.sight[lane], block.measured[lane]
             measure(block.here, block.loads, block.grip[lane], held, block.rod_strain, lane, out)
-            clear_of(flap[HEIGHT], block.points, sight, lane, out)
             if sight[IN_SIGHT] > 0.0:
                 jaws_in(block, lane, jaws)
                 out[CLEARANCE] = min(out[CLEARANCE], tool_clearance(jaws, flap[JAW_WIDTH], sight))

@@ -22,9 +22,10 @@ LANES = 16
 overlap."""
 
 # Rows of a chain's parameters
-LENGTH, WEIGHT, BED, BLOCK, LOAD = 0, 1, 2, 3, 4
-"""Of an element, h; per length; stiffness of bed and block per length; force (2) and moment at a free end."""
-STIFFNESS = 7
+LENGTH, WEIGHT, BED, BLOCK, SLACK, LOAD = 0, 1, 2, 3, 4, 5
+"""Of an element, h; per length; stiffness of bed and block per length; b of `mechanics`; force (2) and moment
+at a free end."""
+STIFFNESS = 8
 """A, B, D and G of element e are in rows STIFFNESS + 4 e and following."""
 
 # Rows of the scratch array
@@ -112,7 +113,7 @@ def _element(P, U, W, e):
     """Tangent and residual of one element, weight included."""
     S, V = _rows(P, STIFFNESS + 4 * e, 4), _rows(U, 3 * e, 6)
     for l in range(LANES):
-        length, weight = P[LENGTH * LANES + l], P[WEIGHT * LANES + l]
+        length, weight, b = P[LENGTH * LANES + l], P[WEIGHT * LANES + l], P[SLACK * LANES + l]
         A, B, D, G = S[l], S[l + LANES], S[l + 2 * LANES], S[l + 3 * LANES]
         x0, y0, t0 = V[l], V[l + LANES], V[l + 2 * LANES]
         x1, y1, t1 = V[l + 3 * LANES], V[l + 4 * LANES], V[l + 5 * LANES]
@@ -120,14 +121,14 @@ def _element(P, U, W, e):
         s, c = sine_cosine(0.5 * (t0 + t1))
         stretch, shear = strains((x1 - x0) * per, (y1 - y0) * per, s, c)
         bend = (t1 - t0) * per
-        fx, fy, turn, M = gradient(stretch, shear, bend, s, c, A, B, D, G)
-        xx, xy, yy, xt, yt, tt, xk, yk, tk = hessian(stretch, shear, bend, s, c, A, B, D, G)
+        fx, fy, turn, M = gradient(stretch, shear, bend, s, c, A, B, D, G, b)
+        xx, xy, yy, xt, yt, tt, xk, yk, tk, kk = hessian(stretch, shear, bend, s, c, A, B, D, G, b)
         W[ENERGY * LANES + l] += length * (
-            energy(stretch, shear, bend, A, B, D, G) + 0.5 * weight * (y0 + y1)
+            energy(stretch, shear, bend, A, B, D, G, b) + 0.5 * weight * (y0 + y1)
         )
         w = ELEMENT * LANES + l
         xx, xy, yy, xt, yt = xx * per, xy * per, yy * per, 0.5 * xt, 0.5 * yt
-        xk, yk, tt, kk = xk * per, yk * per, 0.25 * length * tt, D * per
+        xk, yk, tt, kk = xk * per, yk * per, 0.25 * length * tt, kk * per
         # first node with itself: xx xy xt yy yt tt
         W[w] = xx
         W[w + LANES] = xy
@@ -317,9 +318,8 @@ def total_energy(P, U, count, clamped, out):
             per = 1.0 / length
             s, c = sine_cosine(0.5 * (t0 + t1))
             stretch, shear = strains((x1 - x0) * per, (y1 - y0) * per, s, c)
-            inner = energy(
-                stretch, shear, (t1 - t0) * per, S[l], S[l + LANES], S[l + 2 * LANES], S[l + 3 * LANES]
-            )
+            A, B, D, G = S[l], S[l + LANES], S[l + 2 * LANES], S[l + 3 * LANES]
+            inner = energy(stretch, shear, (t1 - t0) * per, A, B, D, G, P[SLACK * LANES + l])
             s, c = sine_cosine(t0)
             pushed = contact(x0, y0, s, c, P[BED * LANES + l], P[BLOCK * LANES + l])[0]
             out[l] += length * (inner + 0.5 * weight * (y0 + y1) + touched * pushed)

@@ -16,6 +16,7 @@ from retract_env.rod.chain import (
     LENGTH,
     LOAD,
     RIGHT,
+    SLACK,
     STIFFNESS,
     WEIGHT,
     factor_rows,
@@ -29,10 +30,17 @@ FREE, INNER = 10, 16
 BED_STIFFNESS = 0.3
 """Of bed and block, E d per length of flap: what the tissue between axis and surface gives."""
 SHORTEST = 0.02
-"""Least length of the free part, heights: a grasp at the free end leaves a stub, where otherwise nothing were."""
+"""Least length of the free part, heights: a grasp at the free end leaves a stub, where otherwise nothing
+were."""
+STRETCHED_ROOT = 0.13
+"""Length of flap, heights, that stretches as much as the tissue that the jaws hold by its surfaces gives. Of
+the set `fit` (benchmarks.rod_motions); 0.12 to 0.14 do as well."""
+SLACKENS = 0.74
+"""Share of the slack of a bent section (`mechanics`) that a flap has: jaws and fixed end hold its thickness.
+Of the set `fit`; 0.7 to 0.78 do as well."""
 PLANE = 3.0
-"""Depth over height at which half of the way is made from a narrow flap, whose fibres contract freely, to a deep
-one, whose fibres cannot contract along the depth."""
+"""Depth over height at which half of the way is made from a narrow flap, whose fibres contract freely, to a
+deep one, whose fibres cannot contract along the depth."""
 
 # What a flap is, as a row of numbers; lengths in m, stresses in Pa
 LENGTH_M, HEIGHT, DEPTH, MODULUS, POISSON, SPECIFIC_WEIGHT, JAW_WIDTH, HAS_BED = range(8)
@@ -47,8 +55,8 @@ FACTORS = factor_rows(max(FREE, INNER))
 def build(flap, vertices, offsets, moduli, x, root, free, inner, lane):
     """Parameters of both chains of a flap grasped at x, m, into one lane of free and inner.
 
-    flap: its numbers; vertices, offsets, moduli: of its veins, as `moments` has them; root: length of flap, heights,
-    that bends as much as the tissue at the jaws gives, which hold it by its surfaces.
+    flap: its numbers; vertices, offsets, moduli: of its veins, as `moments` has them; root: length of flap,
+    heights, that bends as much as the tissue at the jaws gives, which hold it by its surfaces.
     """
     height = flap[HEIGHT]
     weight = flap[SPECIFIC_WEIGHT] * height / flap[MODULUS]
@@ -71,6 +79,7 @@ def _chain(flap, vertices, offsets, moduli, left, right, count, weight, bed, P, 
     P[WEIGHT * LANES + lane] = weight
     P[BED * LANES + lane] = bed
     P[BLOCK * LANES + lane] = BED_STIFFNESS
+    P[SLACK * LANES + lane] = SLACKENS * (1.0 + 1.5 * poisson) / 12.0
     for k in range(3):
         P[(LOAD + k) * LANES + lane] = 0.0
     unit = modulus * height
@@ -87,6 +96,7 @@ def _chain(flap, vertices, offsets, moduli, left, right, count, weight, bed, P, 
             shear += 2.0 * (1.0 + poisson) / (SHEAR * area)
         stretch, couple, bend, shear = stretch / SLICES, couple / SLICES, bend / SLICES, shear / SLICES
         if e == held:
+            stretch *= 1.0 + STRETCHED_ROOT / P[LENGTH * LANES + lane]
             bend *= 1.0 + root / P[LENGTH * LANES + lane]
         determinant = stretch * bend - couple * couple
         p = (STIFFNESS + 4 * e) * LANES + lane
@@ -115,9 +125,10 @@ def move(free, inner, Uf, Ui, here, goal, todo, W, Z, loads, done):
     """Move the jaws of the lanes in todo straight from here to goal, (4 LANES,) each: x, y, theta and push.
 
     In heights and rad; push: by how far the tissue between the jaws pushes both parts away. free, inner:
-    parameters; Uf, Ui: unknowns, in equilibrium before and after; where a lane fails, also with its move cut into
-    parts, they stay as they were, and so does here, which else becomes goal. loads (6 LANES,): what the clamp does
-    to the free part and to the other one, force (2) and moment each. done (LANES,): which lanes are there.
+    parameters; Uf, Ui: unknowns, in equilibrium before and after; where a lane fails, also with its move cut
+    into parts, they stay as they were, and so does here, which else becomes goal. loads (6 LANES,): what the
+    clamp does to the free part and to the other one, force (2) and moment each. done (LANES,): which lanes
+    are there.
     """
     start_f, start_i = Uf.copy(), Ui.copy()
     last_f, last_i = Uf.copy(), Ui.copy()
@@ -178,8 +189,8 @@ def _copy(source, target, rows, lane):
 
 @njit(error_model="numpy")
 def _follow(U, held, count, pose, push, lane):
-    """A guess at where a chain's nodes go when its clamped node `held` moves to a pose: with it, rigidly, at a free
-    end; less and less towards a clamped one."""
+    """A guess at where a chain's nodes go when its clamped node `held` moves to a pose: with it, rigidly, at
+    a free end; less and less towards a clamped one."""
     u = 3 * held * LANES + lane
     x, y, theta = U[u], U[u + LANES], U[u + 2 * LANES]
     turn = pose[2] - theta

@@ -1,19 +1,19 @@
 """What the jaws' grip does to the tissue between them: laws fitted to squeezes on fine finite elements.
 
 The rod knows no squeeze. How hard the tissue presses back, and how much it is strained, depends on the tissue
-within a jaw's width or so: its k_eq there, the flap's ends if near, its depth and the jaws' width. Both are laws
+within a jaw's width or so: its k_eq there, the flap's ends if near, its depth, the jaws' width. Both are laws
 
     log (N / (E w d c)) and log (eps_1% / c) = sum of weights times features
 
-where c is the compression over the height, w the jaws' width, d the flap's depth. `grip.json` has the weights;
-`python -m benchmarks.rod_grip` makes it and says how well they fit.
+where c is the compression over the height, w the jaws' width, d the flap's depth. `grip.json` has the
+weights; `python -m benchmarks.rod_grip` makes it and says how well they fit.
 
-While the flap moves, N changes with what the rod transmits on both sides of the jaws: tissue that is bent, or
-pushed along the flap, is thicker. The same file has these weights.
+While the flap moves, N changes with what the rod transmits on both sides of the jaws: tissue that is pushed
+along the flap is thicker, bent tissue thinner. The same file has these weights.
 
 Pressed tissue is pushed out of the jaws, to both sides. By how much follows from Betti's theorem: along the
-flap a force F thins it by nu F / (E d), so that a pair of forces N across it lengthens it by nu N / (E d), half on
-each side.
+flap a force F thins it by nu F / (E d), so that a pair of forces N across it lengthens it by nu N / (E d),
+half on each side.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from retract_env.rod.flap import DEPTH, HEIGHT, JAW_WIDTH, LENGTH_M, MODULUS, POISSON
+from retract_env.rod.flap import DEPTH, HAS_BED, HEIGHT, JAW_WIDTH, LENGTH_M, MODULUS, POISSON
 from retract_env.spring.columns import columns
 
 Array = NDArray[np.float64]
@@ -37,16 +37,17 @@ PLACES, APART = 25, 0.1
 DEEP = 2.0
 """Depth over height of a flap half way from narrow to deep."""
 FEATURES = (
-    "one", "stiffness", "c", "c^2", "free end", "fixed end", "log w", "(log w)^2", "deep", "deep nu^2", "nu^2",
-    "deep log w", "log L", "stiffness^2", "c log w", "stiffness log w", "c deep", "stiffness deep", "c stiffness",
+    "one", "stiffness", "c", "c^2", "free end", "fixed end", "log w", "(log w)^2", "deep nu^2", "nu^2",
+    "deep log w", "log L", "c log w", "stiffness log w", "c stiffness",
 )  # fmt: skip
 SHAPE = 4
-"""Numbers of a law before its weights: decay of the kernel over k_eq, heights; share of half a jaw's width that
-counts in full; decay of what the free and the fixed end do, heights."""
+"""Numbers of a law before its weights: decay of the kernel over k_eq, heights; share of half a jaw's width
+that counts in full; decay of what the free and the fixed end do, heights."""
 
-# What is kept of a grip, as a row of numbers: log of the normal force over c E h d, and of eps_1% over c, each
-# as p + q c + r c^2; w; nu / 2; c
-NORMAL, STRAIN, WIDTH, PUSH, COMPRESSION = 0, 3, 6, 7, 8
+# What is kept of a grip, as a row of numbers: log of the normal force over c E h d, and of eps_1% over c,
+# each as p + q c + r c^2; by how much tissue is pushed out to each side, heights; c;
+# 1 on a bed
+NORMAL, STRAIN, PUSH, COMPRESSION, ON_BED = 0, 3, 6, 7, 8
 GRIP = 9
 
 
@@ -79,18 +80,19 @@ def features(flap, vertices, offsets, moduli, x, c, shape, out):
     out[0], out[1], out[2], out[3] = 1.0, stiff, c, c * c
     out[4] = math.exp(-(length + x) / height / shape[2])
     out[5] = math.exp(x / height / shape[3])
-    out[6], out[7], out[8], out[9], out[10] = log_w, log_w * log_w, deep, deep * nu * nu, nu * nu
-    out[11], out[12], out[13], out[14] = deep * log_w, math.log(length / height), stiff * stiff, c * log_w
-    out[15], out[16], out[17], out[18] = stiff * log_w, c * deep, stiff * deep, c * stiff
+    out[6], out[7], out[8], out[9] = log_w, log_w * log_w, deep * nu * nu, nu * nu
+    out[10], out[11], out[12] = deep * log_w, math.log(length / height), c * log_w
+    out[13], out[14] = stiff * log_w, c * stiff
 
 
-POWER_OF_C = (0, 0, 1, 2, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1, 0, 1, 0, 1)
+POWER_OF_C = (0, 0, 1, 2, 0, 0, 0, 0, 0, 0, 0, 0, 1, 0, 1)
 """of each feature"""
-HELD = ("root", "moment", "settled", "inner moment^2", "free moment^2", "inner push", "free push")
-"""Weights of what depends on the flap's motion. root: length of flap, over c heights, that bends as much as the
-tissue at the jaws gives; moment: share of the moment that the jaws' tangential forces carry, a whole height
-apart less c; the others: of the change of the normal force, see `bearing`."""
-ROOT, MOMENT, SETTLED = 0, 1, 2
+HELD = ("root", "stiff", "pushed", "free moment", "settled", "moment^2", "push")
+"""Weights of what depends on the flap's motion. root, stiff: the tissue at the jaws gives as much as a length
+of flap, root c - stiff heights, bends: it is held by its surfaces, but for some length not free to bend;
+pushed: part of nu N / 2 by which it is pushed out of the jaws; free moment: share of the free part's moment
+that reaches the jaws' tangential forces; the others: of the normal force, see `bearing`."""
+ROOT, STIFF, PUSHED, FREE_MOMENT, SETTLED, BENT, PUSHING = range(7)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -109,10 +111,9 @@ def grip(flap, vertices, offsets, moduli, x, laws, out):
             else:
                 c += term
         out[3 * law], out[3 * law + 1], out[3 * law + 2] = a, b, c
-    w = flap[JAW_WIDTH] / flap[HEIGHT]
-    out[NORMAL] += math.log(w)
-    out[WIDTH] = w
-    out[PUSH] = flap[POISSON] / 2
+    out[NORMAL] += math.log(flap[JAW_WIDTH] / flap[HEIGHT])
+    out[PUSH] = 0.0
+    out[ON_BED] = flap[HAS_BED]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -127,16 +128,15 @@ def squeeze(kept, c):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def bearing(kept, held, squeezed, inner_moment, free_moment, inner_push, free_push):
-    """Normal force, E h d, while the jaws hold the flap in some pose. held: the weights.
+def bearing(kept, held, inner_moment, free_moment, push):
+    """Normal force, E h d, while the jaws hold the flap in some pose. kept: a row of `grip`; held: weights.
 
-    squeezed: that of the squeeze; moments, E h^2 d, and pushes along the flap, E h d, that the jaws do to the part
-    towards the fixed end and to the free part.
+    moments, E h^2 d: that the jaws do to both parts; push, E h d: along the flap, to the part towards the
+    fixed end less that to the free one. Pushed tissue is thicker, by Poisson's ratio, and bent tissue
+    thinner, by its square; the grip is the firmer for it as if the jaws were closed by as much.
     """
-    change = (
-        held[SETTLED + 1] * inner_moment * inner_moment
-        + held[SETTLED + 2] * free_moment * free_moment
-        + held[SETTLED + 3] * inner_push
-        + held[SETTLED + 4] * free_push
-    )
-    return squeezed * (1.0 + held[SETTLED]) + kept[WIDTH] * change
+    c = kept[COMPRESSION]
+    thicker = held[BENT] * (inner_moment * inner_moment + free_moment * free_moment) + held[PUSHING] * push
+    log = kept[NORMAL] + kept[NORMAL + 1] * c + kept[NORMAL + 2] * c * c
+    slope = math.exp(log) * (1.0 + c * (kept[NORMAL + 1] + 2.0 * kept[NORMAL + 2] * c))
+    return c * math.exp(log) * (1.0 + held[SETTLED]) + slope * thicker

@@ -8,25 +8,40 @@ import numpy as np
 from numba import njit
 
 from retract_env.objectives import WORST_FRACTION
-from retract_env.rod.chain import LANES, LENGTH
+from retract_env.rod.chain import LANES, LENGTH, SLACK
 from retract_env.rod.flap import FREE, INNER
-from retract_env.rod.grip import COMPRESSION, MOMENT, bearing, squeeze
+from retract_env.rod.grip import COMPRESSION, FREE_MOMENT, ON_BED, bearing, squeeze
 from retract_env.rod.mechanics import CONTRACT, sine_cosine, strains
 
 COLUMNS = 2 * (FREE + INNER) + 1
-"""Sections whose places are told: those at nodes and half way between them, from the free to the fixed end."""
+"""Sections whose places are told: those at nodes and half way between them, from the free to the fixed
+end."""
 JAWS_COLUMN = 2 * FREE
 PINCH = 0.5
 """Heights along the flap over which its thinning by the jaws falls to 1/e."""
+THICKER = 1.0 / 12.0
+"""Mean stretch of both surfaces of a freely bent section, times its curvature squared: less than its axis's,
+as it is thicker on the pressed side."""
 BISECTIONS = 16
-SHARPNESS = 6
-"""eps_1% = (squeeze^p + rod^p)^(1/p): both strain the same tissue beside the jaws only in part."""
+BENT, DRAGGED, SHARPNESS = 2.64, 1.2, 9
+"""eps_1% = (held^p + rod^p)^(1/p), with p the sharpness: the most strained tissue is that between the jaws or
+that elsewhere. What is held is squeezed, bent and sheared: held^2 = squeeze^2 + (BENT M)^2 + (DRAGGED T)^2 +
+..., M the larger of the moments that the jaws do to both sides, E h^2 d, and T what they drag along the flap,
+E h d. (The surface of a bent flap is strained by 6 M, of which half counts.) Of the set `fit`
+(benchmarks.rod_motions)."""
+INTO_BED, YIELDS, RELIEVED, PRESSED = 1.55, 2.2, 0.2, 1.85
+"""Jaws of which the lower one is d heights below the bed's surface press the tissue beside it onto the bed,
+which the rod's bed, soft as it is, does not feel: it pushes them up with INTO_BED d / (1 + YIELDS d) E h d,
+they press on the tissue between them with RELIEVED d less, and it is strained by PRESSED d. From random
+motions, all of them outside the limits; it is there so that nothing is gained by pressing the jaws into the
+bed."""
 IN_BLOCK = 1e-3
 """Heights that tissue has to be inside the fixed block to count, as on finite elements."""
 
 # What is measured, as a row of numbers
 WORST, NORMAL_1, NORMAL_2, DRAG_1, DRAG_2, FRICTION_1, FRICTION_2, CLEARANCE, OVERLAP = range(9)
-MEASURED = 9
+FIRST_HIT, LAST_HIT, HIGHEST = 9, 10, 11
+MEASURED = 12
 # Where one looks from, as a row of numbers, m, and the tool if it hides what is behind it
 CAMERA_X, CAMERA_Y, TARGET_X, IN_SIGHT, PAD, STEM = range(6)
 SIGHT = 6
@@ -95,12 +110,12 @@ def _along(U, count, first, thinned, points):
 
 @njit(cache=True, nogil=True, fastmath=CONTRACT, error_model="numpy")
 def worst_strain(free, inner, Uf, Ui, work, out):
-    """eps_1% of each lane's rod, squeeze apart, into out (LANES,): the mean strain of the 1 % of volume that is
-    strained most.
+    """eps_1% of each lane's rod, squeeze apart, into out (LANES,): the mean strain of the 1 % of volume that
+    is strained most.
 
-    In an element the strain goes linearly over the height. The mean of what lies above a level t, over that share
-    of the volume, is the least over t of t + (mean of what exceeds t) / share; the best t is found by bisection.
-    work: at least (4 (FREE + INNER) + 4) LANES numbers.
+    In an element the strain goes linearly over the height. The mean of what lies above a level t, over that
+    share of the volume, is the least over t of t + (mean of what exceeds t) / share; the best t is found by
+    bisection. work: at least (4 (FREE + INNER) + 4) LANES numbers.
     """
     low, high, total = work[:LANES], work[LANES : 2 * LANES], work[2 * LANES : 3 * LANES]
     for l in range(LANES):
@@ -139,7 +154,8 @@ def worst_strain(free, inner, Uf, Ui, work, out):
 
 @njit(fastmath=CONTRACT, error_model="numpy")
 def _extremes(P, U, count, ends, high):
-    """Least and greatest strain over each element's height and its length into ends; the largest into high."""
+    """Least and greatest strain over each element's height and its length into ends; the largest into
+    high."""
     for e in range(count):
         V = U[3 * e * LANES : 3 * e * LANES + 6 * LANES]
         Q = ends[3 * e * LANES : 3 * e * LANES + 3 * LANES]
@@ -147,10 +163,10 @@ def _extremes(P, U, count, ends, high):
             length = P[LENGTH * LANES + l]
             per = 1.0 / length
             s, c = sine_cosine(0.5 * (V[2 * LANES + l] + V[5 * LANES + l]))
-            stretch = strains((V[3 * LANES + l] - V[l]) * per, (V[4 * LANES + l] - V[LANES + l]) * per, s, c)[
-                0
-            ]
-            half = 0.5 * abs(V[5 * LANES + l] - V[2 * LANES + l]) * per + 1e-9  # never without width
+            dx, dy = (V[3 * LANES + l] - V[l]) * per, (V[4 * LANES + l] - V[LANES + l]) * per
+            bend = abs(V[5 * LANES + l] - V[2 * LANES + l]) * per
+            stretch = strains(dx, dy, s, c)[0] - (P[SLACK * LANES + l] - THICKER) * bend * bend
+            half = 0.5 * bend + 1e-9  # never without width
             Q[l] = stretch - half
             Q[LANES + l] = stretch + half
             Q[2 * LANES + l] = length
@@ -161,9 +177,9 @@ def _extremes(P, U, count, ends, high):
 def measure(pose, loads, kept, held, rod_strain, lane, out):
     """What one lane's jaws feel, and its eps_1%, into out (MEASURED,).
 
-    pose: rows x, y, theta and push; loads: of `move`; kept, held: its grip and the weights of `bearing`; rod_strain
-    (LANES,): of `worst_strain`. Forces come in E h d. The moment that the jaws carry by their tangential forces is
-    that about the middle between them.
+    pose: rows x, y, theta and push; loads: of `move`; kept, held: its grip and the weights of `bearing`;
+    rod_strain (LANES,): of `worst_strain`. Forces come in E h d. The moment that the jaws carry by their
+    tangential forces is that about the middle between them.
     """
     c, s = math.cos(pose[2 * LANES + lane]), math.sin(pose[2 * LANES + lane])
     compression, push = kept[COMPRESSION], pose[3 * LANES + lane]
@@ -171,17 +187,24 @@ def measure(pose, loads, kept, held, rod_strain, lane, out):
     inner_x, inner_y, inner_m = loads[3 * LANES + lane], loads[4 * LANES + lane], loads[5 * LANES + lane]
     free_along, inner_along = c * free_x + s * free_y, c * inner_x + s * inner_y
     free_across, inner_across = c * free_y - s * free_x, c * inner_y - s * inner_x
-    squeezed, pressed = squeeze(kept, compression)
-    mean = bearing(kept, held, squeezed, inner_m, free_m, inner_along, free_along)
+    pressed = squeeze(kept, compression)[1]
+    mean = bearing(kept, held, inner_m, free_m, inner_along - free_along)
+    # how far the lower jaw is below the bed's surface
+    low = max(0.5 * (1.0 - compression) * c - pose[LANES + lane], 0.0) * kept[ON_BED]
+    mean -= RELIEVED * low
     lift, drag = free_across + inner_across, free_along + inner_along
-    moment = free_m + inner_m + push * (inner_across - free_across)
-    couple = held[MOMENT] * moment / (1.0 - compression)
+    lift -= INTO_BED * low / (1.0 + YIELDS * low)
+    moment = held[FREE_MOMENT] * free_m + inner_m + push * (inner_across - free_across)
+    couple = moment / (1.0 - compression)
     out[NORMAL_1], out[NORMAL_2] = mean + 0.5 * lift, mean - 0.5 * lift
     out[DRAG_1], out[DRAG_2] = 0.5 * drag + couple, 0.5 * drag - couple
     for jaw in range(2):
         normal = out[NORMAL_1 + jaw]
         out[FRICTION_1 + jaw] = abs(out[DRAG_1 + jaw]) / normal if normal > 0.0 else np.inf
-    a, b = pressed**SHARPNESS, rod_strain[lane] ** SHARPNESS
+    bent = BENT * max(abs(inner_m), abs(free_m))
+    sheared, below = DRAGGED * drag, PRESSED * low
+    a = (pressed * pressed + bent * bent + sheared * sheared + below * below) ** (SHARPNESS / 2)
+    b = rod_strain[lane] ** SHARPNESS
     out[WORST] = (a + b) ** (1.0 / SHARPNESS)
 
 
@@ -193,23 +216,9 @@ def above(sight, x, y):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def clear_of(height, points, sight, lane, out):
-    """Clearance of one lane's lowest tissue, m, and whether any is inside the fixed block, into out."""
-    lowest, deepest = np.inf, -np.inf
-    for column in range(COLUMNS):
-        for surface in range(2):
-            at = (4 * column + 2 * surface) * LANES + lane
-            x, y = points[at], points[at + LANES]
-            lowest = min(lowest, above(sight, x * height, y * height))
-            deepest = max(deepest, min(x, 1.0 - y))
-    out[CLEARANCE] = lowest
-    out[OVERLAP] = 1.0 if deepest > IN_BLOCK else 0.0
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def tool_clearance(jaws, width, sight):
-    """Clearance, m, of the gripper's pads and stems, for jaws (4,) m; as `physics.measures.tool_outline` draws
-    them. width: m, of the jaws."""
+    """Clearance, m, of the gripper's pads and stems, for jaws (4,) m; as `physics.measures.tool_outline`
+    draws them. width: m, of the jaws."""
     long = math.hypot(jaws[2] - jaws[0], jaws[3] - jaws[1])
     ax, ay = (jaws[2] - jaws[0]) / long, (jaws[3] - jaws[1]) / long
     pad, stem = sight[PAD], sight[PAD] + sight[STEM]

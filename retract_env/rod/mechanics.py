@@ -14,9 +14,16 @@ Strains, with ' = d/ds:
     curvature                  k = theta'
 A fibre at height z stretches by e - z k.
 
+Slack. Where nothing pulls, the axis of a bent flap is longer than at rest: the tissue is stiffer pressed than
+pulled (its stress goes as t - t^2 with the stretch t), and the pressed half is thicker, the pulled one thinner,
+by Poisson's ratio n, which moves the axis outwards. To second order in the curvature that stretch is b k^2,
+    b = (1 + 3 n / 2) / 12
+for a section of plain tissue. (In plane strain of rubber the stress goes as t - 3/2 t^2 and n is 1, which makes
+b = 1/4, as in Rivlin's exact solution of flexure.) What strains a section is e' = e - b k^2.
+
 Energy per length, A, B, D and G the section's stiffness:
-    U = (A e^2 + 2 B e k + D k^2 + G g^2) / 2
-so that the normal force is N = A e + B k, the moment M = B e + D k, the shear force Q = G g.
+    U = (A e'^2 + 2 B e' k + D k^2 + G g^2) / 2
+so that the normal force is N = A e' + B k, the moment M = B e' + D k - 2 b k N, the shear force Q = G g.
 
 Along an element x', y' and theta' are constant, and theta is taken in its middle: one point of integration,
 which neither locks nor hourglasses.
@@ -85,15 +92,18 @@ def strains(dx, dy, sine, cosine):
 
 
 @njit(fastmath=CONTRACT, error_model="numpy")
-def energy(stretch, shear, bend, A, B, D, G):
-    """U, per length; bend is the curvature."""
+def energy(stretch, shear, bend, A, B, D, G, b):
+    """U, per length; bend is the curvature, b the slack."""
+    stretch = stretch - b * bend * bend
     return 0.5 * (A * stretch * stretch + D * bend * bend + G * shear * shear) + B * stretch * bend
 
 
 @njit(fastmath=CONTRACT, error_model="numpy")
-def gradient(stretch, shear, bend, sine, cosine, A, B, D, G):
+def gradient(stretch, shear, bend, sine, cosine, A, B, D, G, b):
     """dU over x', y', theta and theta': the force (2) along the rod, N g - Q (1 + e), and the moment."""
-    N, M, Q = A * stretch + B * bend, B * stretch + D * bend, G * shear
+    strained = stretch - b * bend * bend
+    N, Q = A * strained + B * bend, G * shear
+    M = B * strained + D * bend - 2.0 * b * bend * N
     return (
         cosine * N - sine * Q,
         sine * N + cosine * Q,
@@ -103,10 +113,13 @@ def gradient(stretch, shear, bend, sine, cosine, A, B, D, G):
 
 
 @njit(fastmath=CONTRACT, error_model="numpy")
-def hessian(stretch, shear, bend, sine, cosine, A, B, D, G):  # noqa: ARG001
-    """Second derivatives of U over (x', y', theta, theta'): xx, xy, yy, xt, yt, tt, xk, yk, tk; kk is D."""
+def hessian(stretch, shear, bend, sine, cosine, A, B, D, G, b):
+    """Second derivatives of U over (x', y', theta, theta'): xx, xy, yy, xt, yt, tt, xk, yk, tk, kk."""
     s, c, e = sine, cosine, 1.0 + stretch
-    N, Q = A * stretch + B * bend, G * shear
+    N, Q = A * (stretch - b * bend * bend) + B * bend, G * shear
+    turn = 2.0 * b * bend
+    D += turn * turn * A - 2.0 * turn * B - 2.0 * b * N
+    B -= turn * A
     fx, fy = c * N - s * Q, s * N + c * Q
     return (
         A * c * c + G * s * s,
@@ -118,6 +131,7 @@ def hessian(stretch, shear, bend, sine, cosine, A, B, D, G):  # noqa: ARG001
         B * c,
         B * s,
         B * shear,
+        D,
     )
 
 

@@ -13,6 +13,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from retract_env.compilation import forget_old
+
+forget_old()
+
 State = NDArray[np.uint64]
 """(6,), changed in place."""
 

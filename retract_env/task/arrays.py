@@ -15,7 +15,7 @@ from retract_env.task.rules import TERMS
 
 Array = NDArray[np.float64]
 
-INSIDE = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+INSIDE = {"error_model": "numpy", "forceinline": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 """How functions are compiled that only compiled code calls: half of the time went into ways to call them."""
 
 
@@ -78,6 +78,9 @@ class Lanes(NamedTuple):
     """(n, 4) m"""
     grasp: Array
     """(n, 2) m, where they grasp and by how much they close"""
+    section: NDArray[np.int64]
+    share: Array
+    """(n, KEYPOINTS) before which section of the rod a keypoint is, and how far on to the next"""
     strain: Array
     friction: Array
     """(n,), (n, 2) now"""

@@ -23,7 +23,7 @@ from retract_env.task.arrays import INFO, Lanes, Rules, Told
 from retract_env.task.batch import look_range
 from retract_env.task.config import TaskConfig
 from retract_env.task.observation import SIZE, SLICES, Sensors, bounds
-from retract_env.task.rules import STIFFNESS_SAMPLES, TERMS
+from retract_env.task.rules import KEYPOINTS, STIFFNESS_SAMPLES, TERMS
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -81,6 +81,8 @@ class Flaps:
             pose=rows(4),
             jaws=rows(4),
             grasp=rows(2),
+            section=np.zeros((n, KEYPOINTS), np.int64),
+            share=rows(KEYPOINTS),
             strain=rows(),
             friction=rows(2),
             clearance=rows(),

@@ -26,8 +26,11 @@ from retract_env.rod.measures import (
     CAMERA_X,
     CAMERA_Y,
     CLEARANCE,
+    FIRST_HIT,
     FRICTION_1,
     FRICTION_2,
+    HIGHEST,
+    LAST_HIT,
     OVERLAP,
     TARGET_X,
     WORST,
@@ -45,12 +48,13 @@ from retract_env.task.rules import (
     STIFFNESS_SAMPLES,
     STRAIN_LIMIT,
     TERMS,
-    exposed,
+    exposed_above,
+    exposed_beside,
     rest_clearance,
     verdict,
     way,
 )
-from retract_env.task.shown import at_rest, surfaces_of
+from retract_env.task.shown import find_keypoints, lying, surfaces_of
 
 
 @njit(**INSIDE)
@@ -108,8 +112,10 @@ def begin(lanes, rules, block, i):
     lanes.clearance[i] = lanes.outset[i]
     for k in range(len(TERMS)):
         lanes.terms[i, k] = 0.0
-    _, lower, upper = at_rest(length, height)
-    lanes.exposure[i] = exposed(lower, upper, sight[CAMERA_X], sight[CAMERA_Y], sight[TARGET_X], -length)
+    lower, upper = lying(length, height)
+    lanes.exposure[i] = exposed_above(
+        lower, upper, sight[CAMERA_X], sight[CAMERA_Y], sight[TARGET_X], -length
+    )
     return True
 
 
@@ -143,6 +149,7 @@ def take(lanes, rules, block, i, x, compression):
     closed = (height - pose[3]) / height
     hold(block, lane, x, closed, veins[0], veins[1], veins[2], rules.laws, rules.held)
     aim(block, lane, x, height / 2, 0.0)
+    find_keypoints(lanes, i, block.flap[lane, LENGTH_M], height)
 
 
 @njit(**INSIDE)
@@ -183,8 +190,12 @@ def hold_on(lanes, block, i):
     lanes.overlapped[i] = lanes.overlapped[i] or out[OVERLAP] > 0
     jaws_in(block, lane, lanes.jaws[i])
     sight, length = block.sight[lane], block.flap[lane, LENGTH_M]
-    lower, upper = surfaces_of(block, lane)
-    lanes.exposure[i] = exposed(lower, upper, sight[CAMERA_X], sight[CAMERA_Y], sight[TARGET_X], -length)
+    target = sight[TARGET_X]
+    if out[HIGHEST] < sight[CAMERA_Y]:
+        lanes.exposure[i] = exposed_beside(out[FIRST_HIT], out[LAST_HIT], target, -length)
+    else:
+        lower, upper = surfaces_of(block, lane)
+        lanes.exposure[i] = exposed_above(lower, upper, sight[CAMERA_X], sight[CAMERA_Y], target, -length)
 
 
 @njit(**INSIDE)

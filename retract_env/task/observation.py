@@ -120,6 +120,9 @@ class Observer:
         if self._surfaces is None or self._surfaces[0] is not section:
             self._surfaces = section, *surface_nodes(section, tissue.height)
         lower, upper = self._surfaces[1:]
+        points = np.empty(4 * KEYPOINTS)
+        for nodes, part in ((lower, points[: 2 * KEYPOINTS]), (upper, points[2 * KEYPOINTS :])):
+            rules.keypoints(section.points[nodes, 0], state.points[nodes], tissue.length, part)
         out = np.empty(SIZE, np.float32)
         rules.observe(
             now.holding,
@@ -127,10 +130,7 @@ class Observer:
             state.jaws,
             tissue.length,
             tissue.height,
-            section.points[lower, 0],
-            state.points[lower],
-            section.points[upper, 0],
-            state.points[upper],
+            points,
             self._sight,
             self._k_eq,
             float(state.worst_strain),

@@ -1,8 +1,7 @@
 """What is observed, rewarded and judged, as compiled formulas on plain numbers, for many flaps at once.
 
-`RetractionTask` and `objectives` say the same for one flap, as a reader wants to read it. Here is what a
-batch of environments computes instead; tests hold both together, to the last bit. `observe` and `along` serve
-both.
+`RetractionTask` and `objectives` say the same for one flap, as a reader wants to read it. Here is what a batch of
+environments computes instead; tests hold both together, to the last bit. `observe` and `keypoints` serve both.
 """
 
 from __future__ import annotations
@@ -30,14 +29,14 @@ TERMS = ("exposure", "clearance", "strain", "friction", "success", "failure")
 
 # No fastmath: every number has to be rounded as NumPy rounds it.
 @njit(cache=True, nogil=True, error_model="numpy")
-def along(at, points, station):
-    """Where a surface is, x and y, whose nodes are at `at` (n,) ascending and now at points (n, 2), m; linear
-    between them and the same beyond the ends."""
+def between(at, station):
+    """Between which two of `at` (n,) ascending a station is: the first one, and how far on to the next; 0 beyond
+    the ends."""
     last = len(at) - 1
     if station <= at[0]:
-        return points[0, 0], points[0, 1]
+        return 0, 0.0
     if station >= at[last]:
-        return points[last, 0], points[last, 1]
+        return last, 0.0
     low, high = 0, last
     while high - low > 1:
         middle = (low + high) // 2
@@ -45,11 +44,27 @@ def along(at, points, station):
             low = middle
         else:
             high = middle
-    share = (station - at[low]) / (at[high] - at[low])
-    return (
-        points[low, 0] + share * (points[high, 0] - points[low, 0]),
-        points[low, 1] + share * (points[high, 1] - points[low, 1]),
-    )
+    return low, (station - at[low]) / (at[high] - at[low])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def station(k, length):
+    """Where keypoint k is along a flap at rest, m."""
+    return -length * (1 - k / KEYPOINTS)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def keypoints(at, surface, length, out):
+    """Where a surface's keypoints are now, x y x y, into out (2 KEYPOINTS,), m.
+
+    at, surface: (n,), (n, 2) m, its nodes along the flap at rest, ascending, and now.
+    """
+    last = len(at) - 1
+    for k in range(KEYPOINTS):
+        low, share = between(at, station(k, length))
+        for axis in range(2):
+            here, next_one = surface[low, axis], surface[min(low + 1, last), axis]
+            out[2 * k + axis] = here + share * (next_one - here)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -59,10 +74,7 @@ def observe(
     jaws,
     length,
     height,
-    at_lower,
-    lower,
-    at_upper,
-    upper,
+    points,
     sight,
     k_eq,
     strain,
@@ -79,9 +91,8 @@ def observe(
 ):
     """The observation, as LAYOUT describes it, into out (SIZE,) float32.
 
-    jaws: (4,) m; at_lower, lower, at_upper, upper: (n,), (n, 2) m, both surfaces at rest and now; sight: (3,)
-    target, slope, nearness; k_eq: (STIFFNESS_SAMPLES,), modulus / height; limits: (3,); low, high: bounds
-    (SIZE,) float32.
+    jaws: (4,) m; at_lower, lower, at_upper, upper: (n,), (n, 2) m, both surfaces at rest and now; sight: (3,) target, slope, nearness;
+    k_eq: (STIFFNESS_SAMPLES,), modulus / height; limits: (3,); low, high: bounds (SIZE,) float32.
     """
     dx, dy = jaws[2] - jaws[0], jaws[3] - jaws[1]
     separation = math.sqrt(dx * dx + dy * dy)
@@ -97,13 +108,9 @@ def observe(
     ):
         out[i] = min(max(value, low[i]), high[i])
         i += 1
-    for surface in range(2):
-        for k in range(KEYPOINTS):
-            station = -length * (1 - k / KEYPOINTS)
-            x, y = along(at_upper, upper, station) if surface else along(at_lower, lower, station)
-            out[i] = min(max(x / length, low[i]), high[i])
-            out[i + 1] = min(max(y / length, low[i + 1]), high[i + 1])
-            i += 2
+    for k in range(4 * KEYPOINTS):
+        out[i] = min(max(points[k] / length, low[i]), high[i])
+        i += 1
     for k in range(3):
         out[i] = min(max(sight[k], low[i]), high[i])
         i += 1
@@ -124,36 +131,10 @@ def observe(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def exposed(lower, upper, camera_x, camera_y, target, near):
-    """Fraction of the bed from x = near to the target that the camera sees past a flap, as
-    `objectives.exposure`.
-
-    lower, upper: (n, 2) m, both surfaces from the free to the fixed end. The outline is closed, so that what
-    it hides of the bed reaches from the first to the last ray through it, as long as all of it is below the
-    camera.
-    """
-    low, high, below = np.inf, -np.inf, True
-    last = len(lower) - 1
-    for i in range(len(lower)):
-        for surface in range(3):
-            # of the section's middle only the ends belong to the outline
-            if surface == 0:
-                x, y = lower[i, 0], lower[i, 1]
-            elif surface == 1:
-                x, y = upper[i, 0], upper[i, 1]
-            elif i == 0 or i == last:
-                x, y = (lower[i, 0] + upper[i, 0]) / 2, (lower[i, 1] + upper[i, 1]) / 2
-            else:
-                continue
-            drop = camera_y - max(y, 0.0)
-            if drop > 0:
-                hit = camera_x + (x - camera_x) * camera_y / drop
-                low, high = min(low, hit), max(high, hit)
-            else:
-                below = False
-    if not below:
-        return _exposed_above(lower, upper, camera_x, camera_y, target, near)
-    low, high = min(max(low, near), target), min(max(high, near), target)
+def exposed_beside(first, last, target, near):
+    """Fraction of the bed from x = near to the target, m, that is seen where what is between first and last is
+    hidden."""
+    low, high = min(max(first, near), target), min(max(last, near), target)
     seen = 0.0
     if low > near:
         seen += low - near
@@ -163,8 +144,11 @@ def exposed(lower, upper, camera_x, camera_y, target, near):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _exposed_above(lower, upper, camera_x, camera_y, target, near):
-    """`exposed` where part of the flap is as high as the camera: every edge of the outline by itself."""
+def exposed_above(lower, upper, camera_x, camera_y, target, near):
+    """`objectives.exposure` past a flap, of which part may be as high as the camera: every edge by itself.
+
+    lower, upper: (n, 2) m, both surfaces from the free to the fixed end.
+    """
     n = len(lower)
     ring = np.empty((2 * n + 3, 2))
     for i in range(n):

@@ -22,18 +22,43 @@ from retract_env.task.arrays import (
     SUCCESS,
     TO_LINE,
 )
-from retract_env.task.rules import FRICTION_LIMIT, GOES_ON, OK, STRAIN_LIMIT, TERMS, observe
+from retract_env.task.rules import (
+    FRICTION_LIMIT,
+    GOES_ON,
+    KEYPOINTS,
+    OK,
+    STRAIN_LIMIT,
+    TERMS,
+    between,
+    keypoints,
+    observe,
+    station,
+)
 
 
 @njit(**INSIDE)
-def at_rest(length, height):
-    """Places along the flap and both surfaces there, before it is touched."""
-    at, lower, upper = np.empty(3), np.empty((3, 2)), np.empty((3, 2))
-    at[0], at[1], at[2] = -length, -length / 2, 0.0
+def lying(length, height):
+    """Both surfaces before the flap is touched."""
+    lower, upper = np.empty((3, 2)), np.empty((3, 2))
+    lower[0, 0], lower[1, 0], lower[2, 0] = -length, -length / 2, 0.0
     for k in range(3):
-        lower[k, 0] = upper[k, 0] = at[k]
+        upper[k, 0] = lower[k, 0]
         lower[k, 1], upper[k, 1] = 0.0, height
-    return at, lower, upper
+    return lower, upper
+
+
+@njit(**INSIDE)
+def find_keypoints(lanes, i, length, height):
+    """Between which sections environment i's keypoints are, once it is known where its jaws grasp."""
+    x = lanes.grasp[i, 0]
+    left = min(-length, x - SHORTEST * height)
+    at = np.empty(COLUMNS)
+    for k in range(2 * FREE):
+        at[k] = left + (x - left) * (k / (2 * FREE))
+    for k in range(2 * INNER + 1):
+        at[2 * FREE + k] = x * (1 - k / (2 * INNER))
+    for k in range(KEYPOINTS):
+        lanes.section[i, k], lanes.share[i, k] = between(at, station(k, length))
 
 
 @njit(**INSIDE)
@@ -50,27 +75,30 @@ def surfaces_of(block, lane):
 
 
 @njit(**INSIDE)
-def observe_now(lanes, rules, block, i, out):
-    """Environment i observed into out."""
+def _points(lanes, block, i, out):
+    """Environment i's keypoints into out (4 KEYPOINTS,), m."""
     lane = i % LANES
     length, height = block.flap[lane, LENGTH_M], block.flap[lane, HEIGHT]
     if not lanes.holding[i]:
-        at, lower, upper = at_rest(length, height)
-        _observe(lanes, rules, block, i, at, lower, upper, out)
+        lower, upper = lying(length, height)
+        keypoints(lower[:, 0], lower, length, out[: 2 * KEYPOINTS])
+        keypoints(lower[:, 0], upper, length, out[2 * KEYPOINTS :])
         return
-    x = lanes.grasp[i, 0]
-    left = min(-length, x - SHORTEST * height)
-    at = np.empty(COLUMNS)
-    for k in range(2 * FREE):
-        at[k] = left + (x - left) * (k / (2 * FREE))
-    for k in range(2 * INNER + 1):
-        at[2 * FREE + k] = x * (1 - k / (2 * INNER))
-    lower, upper = surfaces_of(block, lane)
-    _observe(lanes, rules, block, i, at, lower, upper, out)
+    for k in range(KEYPOINTS):
+        section, share = lanes.section[i, k], lanes.share[i, k]
+        here, there = 4 * section * LANES + lane, 4 * min(section + 1, COLUMNS - 1) * LANES + lane
+        for surface in range(2):
+            for axis in range(2):
+                row = (2 * surface + axis) * LANES
+                a, b = block.points[here + row] * height, block.points[there + row] * height
+                out[2 * KEYPOINTS * surface + 2 * k + axis] = a + share * (b - a)
 
 
 @njit(**INSIDE)
-def _observe(lanes, rules, block, i, at, lower, upper, out):
+def observe_now(lanes, rules, block, i, out):
+    """Environment i observed into out."""
+    points = np.empty(4 * KEYPOINTS)
+    _points(lanes, block, i, points)
     flap = block.flap[i % LANES]
     observe(
         lanes.holding[i],
@@ -78,10 +106,7 @@ def _observe(lanes, rules, block, i, at, lower, upper, out):
         lanes.jaws[i],
         flap[LENGTH_M],
         flap[HEIGHT],
-        at,
-        lower,
-        at,
-        upper,
+        points,
         lanes.sight[i],
         lanes.k_eq[i],
         lanes.strain[i],

@@ -42,6 +42,7 @@ def coarse(method: Method, scene: dict[str, Any], **changes: Any) -> dict[str, A
         "number": 0,
         "scene": scene,
         "resolution": "coarse",
+        "policy_physics": "fem",
         "policy_resolution": "coarse",
         "lead_out": 3,
         "seed": 0,
@@ -379,3 +380,19 @@ def test_a_broken_configuration_is_one_line(tmp_path: Path, harm: Callable[[str]
     with pytest.raises(BenchmarkError) as caught:
         load_benchmark(file)
     assert str(caught.value).startswith(str(file)) and "\n" not in str(caught.value)
+
+
+def test_policies_may_move_on_another_physics(benchmark: Benchmark) -> None:
+    """Judged by the same certifier all the same."""
+    on_rods = benchmark.played_in("rod")
+    assert (on_rods.policy_physics, on_rods.policy_resolution) == ("rod", "rod")
+    assert (benchmark.policy_physics, on_rods.splits) == ("fem", benchmark.splits)
+    with pytest.raises(BenchmarkError, match=r"^policy_physics = 'jelly', allowed "):
+        benchmark.played_in("jelly")
+    task = tasks_of(on_rods, [Method.trained(Path("bc-0"))], ["validation"], 1)[0] | {"resolution": "coarse"}
+    rods, elements = (
+        compete(task | where) for where in ({}, {"policy_physics": "fem", "policy_resolution": "coarse"})
+    )
+    assert rods["certified"] and elements["certified"]
+    assert rods["max_strain"] == pytest.approx(elements["max_strain"], rel=0.1)
+    assert rods["max_strain"] != elements["max_strain"]

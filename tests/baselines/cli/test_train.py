@@ -41,6 +41,7 @@ def config(tmp_path: Path) -> Path:
         (["ppo", "--demos", "3"], "demos = 3, but ppo learns from no data set"),
         (["sac"], "algorithm = 'ppo', asked for 'sac'"),
         (["ddpg"], "algorithm = 'ddpg', allowed ppo, sac, tqc, bc"),
+        (["ppo", "--physics", "jelly"], "task.physics = 'jelly', allowed bullet, fem, rod"),
         (["ppo", "--resume"], "--config, --envs: not with --resume"),
     ],
 )

@@ -16,6 +16,7 @@ pytest.importorskip("h5py")
 from baselines.benchmark.splits import load_benchmark
 from baselines.jobs.journal import Row, run_tasks
 from baselines.learning import demos
+from retract_env.physics.registry import PHYSICS
 from retract_env.rollout import gripper_pose
 from retract_env.scene import sample_scene
 from retract_env.task import SLICES
@@ -31,7 +32,7 @@ def _datasets(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.Monk
 
 @pytest.fixture(scope="module")
 def tasks() -> list[dict[str, Any]]:
-    return [{"planner": "eased", "resolution": "coarse", "seed": seed} for seed in (1, 2)]
+    return [{"planner": "eased", "resolution": "coarse", "physics": "fem", "seed": seed} for seed in (1, 2)]
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +63,7 @@ def test_the_dataset_keeps_seeds_certificates_and_command(dataset: Any, rows: li
     metadata = dataset.storage.metadata
     assert metadata["command"] == "retract demos" and metadata["certificates"] == "coarse"
     assert metadata["algorithm_name"] == "eased" and metadata["failed_seeds"] == {}
-    assert dataset.env_spec.id == demos.ENV
+    assert dataset.env_spec.id == PHYSICS["fem"].env_id
     kept = list(dataset.storage.get_episode_metadata(range(2)))
     for row, about in zip(rows, kept, strict=True):
         assert about["scene_seed"].tolist() == [demos.SEED, row["seed"]]
@@ -100,6 +101,26 @@ def test_its_episodes_are_replayed_from_their_own_seeds(dataset: Any) -> None:
         # it moved: the jaws ended somewhere else than they closed
         poses = [gripper_pose(o, scene) for o in episode.observations[[1, -1]]]
         assert np.hypot(*(poses[1] - poses[0])[:2]) > 5e-3
+    env.close()
+
+
+def test_plans_are_played_on_the_physics_that_is_asked_for(tasks: list[dict[str, Any]]) -> None:
+    """On rods: the data set names their environment, which begins its episodes as they were played."""
+    import minari
+
+    task = tasks[0] | {"physics": "rod"}
+    row = demos.demonstrate(task)
+    assert row["certificate"]["certified"] and row["episode"] is not None
+    demos.write_dataset("toy/rods-v0", [row], task, "retract demos --physics rod")
+    dataset = minari.load_dataset("toy/rods-v0")
+    assert dataset.env_spec.id == PHYSICS["rod"].env_id
+    env, episode = dataset.recover_environment(), dataset[0]
+    seen, _ = env.reset(seed=demos.episode_seed(task["seed"]))
+    for k, action in enumerate(episode.actions):
+        assert np.array_equal(seen, episode.observations[k])
+        seen, reward, terminated, _, _ = env.step(action)
+        assert reward == episode.rewards[k]
+    assert terminated
     env.close()
 
 

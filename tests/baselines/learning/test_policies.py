@@ -185,6 +185,7 @@ def test_a_shipped_policy_exposes_the_target() -> None:
             "number": 0,
             "scene": default_scene().dump(),
             "resolution": "coarse",
+            "policy_physics": "fem",
             "policy_resolution": "coarse",
             "lead_out": 3,
             "seed": 0,

@@ -59,7 +59,7 @@ def test_a_recipe_comes_back_from_plain_data(algorithm: str) -> None:
         ),
         ({"learner": 3}, "learner = 3, not a mapping"),
         ({"network": {"sizes": [0]}}, "network.sizes[0] = 0, allowed [1, 4096]"),
-        ({"task": {"physics": "jelly"}}, "task.physics = 'jelly', allowed bullet, fem"),
+        ({"task": {"physics": "jelly"}}, "task.physics = 'jelly', allowed bullet, fem, rod"),
         ({"task": {"resolution": "ultra"}}, "task.resolution = 'ultra', allowed "),
         ({"task": {"scene": {}}}, ": missing"),
         ({"task": {"scene": 3}}, "task.scene = 3, allowed 'random', a file, or a scene as plain data"),
@@ -109,10 +109,10 @@ def test_the_learner_is_the_algorithms() -> None:
         Recipe(**dict(recipe) | {"learner": other})
 
 
-def test_a_recipe_without_checkpoints_of_its_own_is_written_as_before() -> None:
+def test_a_recipe_without_checkpoints_or_environments_of_its_own_is_written_as_before() -> None:
     """Runs that were begun before recipes had them keep their hash."""
     data = plain("ppo")
-    del data["evaluation"]["checkpoint"]
+    del data["evaluation"]["checkpoint"], data["envs"]
     assert Recipe.from_data(data).dump() == data
 
 

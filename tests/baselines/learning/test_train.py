@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -22,14 +23,15 @@ pytest.importorskip("tensorboard")
 
 from baselines.jobs.version import PACKAGES
 from baselines.learning import train
-from baselines.learning.agents import Agent
+from baselines.learning.agents import Agent, _Watch
 from baselines.learning.checkpoints import MAGIC, CheckpointError, read_checkpoint, write_checkpoint
 from baselines.learning.envs import make_envs
 from baselines.learning.fields import RecipeError
 from baselines.learning.policies import TENSORS, Policy, PolicyError, load_policy, save_policy
+from baselines.learning.vec_env import BatchVecEnv
 from planners.certify import FAILURES
 from retract_env.errors import SceneError
-from retract_env.task import HIGH, LOW, SIZE
+from retract_env.task import HIGH, LOW, SIZE, default_scene
 from retract_env.task.config import Weights
 from tests.baselines.trained import easy_scene, recipe
 
@@ -324,3 +326,38 @@ def test_the_easy_scene_is_one() -> None:
     from retract_env.scene import Scene
 
     assert Scene.from_data(easy_scene()).limits.friction == 5.0
+
+
+def test_rods_are_trained_side_by_side_and_a_run_that_stopped_ends_as_it_would_have(tmp_path: Path) -> None:
+    """In one process, as many as the run says; judged and kept as on any other physics."""
+    data = recipe("ppo", 96, 32, **TINY["ppo"]).dump()
+    data["task"] |= {"physics": "rod", "scene": "random", "grasp": "agent"}
+    scenes = [easy_scene(), default_scene().dump()]
+    run = train.Run(type(recipe("ppo", 96, 32)).from_data(data), 0, 2, scenes)
+    stopped, whole = tmp_path / "stopped", tmp_path / "whole"
+    with pytest.raises(Stop):
+        train.train(run, stopped, stopped_after(32))
+    train.train(train.open_run(stopped), stopped)
+    policy = train.train(run, whole)
+    assert outcome(stopped) == outcome(whole)
+    assert policy.env["id"] == "TissueRetractRod-v0"
+    assert [line["steps"] for line in policy.training["curve"]] == [32, 64, 96]
+    envs = make_envs(run.recipe, 3)
+    assert isinstance(envs.unwrapped, BatchVecEnv) and envs.num_envs == 3
+    envs.close()
+
+
+def test_logs_are_means_over_all_episodes_of_a_line() -> None:
+    """However many are over in one step."""
+    from stable_baselines3.common.logger import Logger
+
+    watch = _Watch(lambda _: None, recipe("ppo", 48, 16).learner)
+    watch.model = SimpleNamespace(logger=Logger(None, []))  # type: ignore[assignment]
+    infos = [{"is_success": k == 0, "failure": "", "episode_terms": {"strain": float(k)}} for k in range(4)]
+    for ended in (infos[:1], infos[1:]):
+        watch._log(ended)
+    assert watch.logger.name_to_value["rewards/strain"] == pytest.approx(1.5)
+    assert watch.logger.name_to_value["failures/not_visible"] == pytest.approx(0.75)
+    watch.logger.dump()
+    watch._log(infos[2:])
+    assert watch.logger.name_to_value["rewards/strain"] == pytest.approx(2.5)

@@ -68,6 +68,7 @@ def crumpled(
     )
     sections = chains.P[chain.STIFFNESS :].reshape(elements, 4, LANES)
     sections *= rng.uniform(0.7, 1.4, sections.shape)
+    chains.P[chain.SLACK] = np.linspace(0, 0.15, LANES)
     chains.U += rng.normal(scale=size, size=chains.U.shape)
     chains.nodes[:, 0] += 0.5
     return chains

@@ -14,6 +14,7 @@ Array = NDArray[np.float64]
 
 SECTION = (1.1, -0.2, 0.09, 0.3)
 """A, B, D and G of a section with a vein above the axis"""
+SLACK = 0.14
 BED, BLOCK = 0.3, 0.7
 
 
@@ -29,20 +30,20 @@ def element_energy(u: Array) -> float:
     """U over (x', y', theta, theta')."""
     s, c = np.sin(u[2]), np.cos(u[2])
     stretch, shear = strains(u[0], u[1], s, c)
-    return float(energy(stretch, shear, u[3], *SECTION))
+    return float(energy(stretch, shear, u[3], *SECTION, SLACK))
 
 
 def element_gradient(u: Array) -> Array:
     s, c = np.sin(u[2]), np.cos(u[2])
     stretch, shear = strains(u[0], u[1], s, c)
-    return np.array(gradient(stretch, shear, u[3], s, c, *SECTION))
+    return np.array(gradient(stretch, shear, u[3], s, c, *SECTION, SLACK))
 
 
 def element_hessian(u: Array) -> Array:
     s, c = np.sin(u[2]), np.cos(u[2])
     stretch, shear = strains(u[0], u[1], s, c)
-    xx, xy, yy, xt, yt, tt, xk, yk, tk = hessian(stretch, shear, u[3], s, c, *SECTION)
-    return np.array([[xx, xy, xt, xk], [xy, yy, yt, yk], [xt, yt, tt, tk], [xk, yk, tk, SECTION[2]]])
+    xx, xy, yy, xt, yt, tt, xk, yk, tk, kk = hessian(stretch, shear, u[3], s, c, *SECTION, SLACK)
+    return np.array([[xx, xy, xt, xk], [xy, yy, yt, yk], [xt, yt, tt, tk], [xk, yk, tk, kk]])
 
 
 def pushed_energy(u: Array) -> float:

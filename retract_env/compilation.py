@@ -1,0 +1,67 @@
+"""Compiled kernels on disk: that none is older than what it was made of, and a word to whoever waits for new ones."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import logging
+import os
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+_PACKAGE = Path(__file__).parent
+_told: set[str] = set()
+
+
+@cache
+def forget_old() -> None:
+    """Delete the package's kernels where any of its sources has changed since they were compiled.
+
+    numba compares a kernel with the file that it is written in, not with those of the functions that it calls:
+    after an update it would go on with what these were before. Where nothing can be written, nothing is kept.
+    """
+    sources = sorted(_PACKAGE.rglob("*.py"))
+    state = "".join(f"{path} {path.stat().st_mtime_ns} {path.stat().st_size}\n" for path in sources)
+    stamp = hashlib.sha256(state.encode()).hexdigest()
+    folders = {folder: _kept_in(folder) for folder in {path.parent for path in sources}}
+    kept = folders[_PACKAGE] / "kernels.stamp"
+    with contextlib.suppress(OSError):
+        if kept.exists() and kept.read_text("utf-8") == stamp:
+            return
+        for folder in folders.values():
+            for index in folder.glob("*.nbi"):
+                index.unlink(missing_ok=True)
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        kept.write_text(stamp, "utf-8")
+
+
+def _kept_in(folder: Path) -> Path:
+    """Where numba keeps the kernels of the sources in a folder."""
+    if elsewhere := os.environ.get("NUMBA_CACHE_DIR"):
+        from numba.core.caching import _CacheLocator
+
+        return Path(elsewhere) / _CacheLocator.get_suitable_cache_subpath(str(folder / "source.py"))
+    return folder / "__pycache__"
+
+
+def is_cached(kernel: Any) -> bool:
+    """Whether numba has a kernel on disk, compiled for this processor from these sources."""
+    from numba.core.registry import cpu_target
+
+    # numba has no public way to ask. Its index is empty where it is of other sources or of another numba;
+    # an entry's key is a signature, the processor, and hashes of the code.
+    here = cpu_target.target_context.codegen().magic_tuple()
+    return any(key[1] == here for key in kernel._cache._cache_file._load_index())
+
+
+def announce(kernel: Any, what: str, seconds: float) -> None:
+    """Log a warning, once, that what is about to be used is compiled first; nothing where it is on disk.
+
+    kernel: what takes longest of it; seconds: that it usually takes.
+    """
+    if what not in _told and not kernel.signatures and not is_cached(kernel):
+        logging.getLogger("retract_env").warning(
+            "first run: compiling %s, some %.0f s; they are then kept", what, seconds
+        )
+    _told.add(what)
