@@ -2,9 +2,9 @@
 
 With --soak STEPS instead so many random steps: what memory they take, how many episodes were given up.
 
-Only the environments' own work is timed, on two threads unless told otherwise; what chooses the actions is not,
-but for the last line: PPO's rollout as `retract train` makes it, with its untrained network on one thread, the
-normalisation of observations and the log, on as many cores as there are.
+Only the environments' own work is timed, on two threads unless told otherwise; what chooses the actions is
+not, but for the last line: PPO's rollout as `retract train` makes it, with its untrained network on one
+thread, the normalisation of observations and the log, on as many cores as there are.
 """
 
 from __future__ import annotations
