@@ -1,4 +1,5 @@
-"""Compiled kernels on disk: that none is older than what it was made of, and a word to whoever waits for new ones."""
+"""Compiled kernels on disk: that none is older than what it was made of, and a word to whoever waits for new
+ones."""
 
 from __future__ import annotations
 
@@ -18,8 +19,9 @@ _told: set[str] = set()
 def forget_old() -> None:
     """Delete the package's kernels where any of its sources has changed since they were compiled.
 
-    numba compares a kernel with the file that it is written in, not with those of the functions that it calls:
-    after an update it would go on with what these were before. Where nothing can be written, nothing is kept.
+    numba compares a kernel with the file that it is written in, not with those of the functions that it
+    calls: after an update it would go on with what these were before. Where nothing can be written, nothing
+    is kept.
     """
     sources = sorted(_PACKAGE.rglob("*.py"))
     state = "".join(f"{path} {path.stat().st_mtime_ns} {path.stat().st_size}\n" for path in sources)

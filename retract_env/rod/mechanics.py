@@ -15,11 +15,12 @@ Strains, with ' = d/ds:
 A fibre at height z stretches by e - z k.
 
 Slack. Where nothing pulls, the axis of a bent flap is longer than at rest: the tissue is stiffer pressed than
-pulled (its stress goes as t - t^2 with the stretch t), and the pressed half is thicker, the pulled one thinner,
-by Poisson's ratio n, which moves the axis outwards. To second order in the curvature that stretch is b k^2,
+pulled (its stress goes as t - t^2 with the stretch t), and the pressed half is thicker, the pulled one
+thinner, by Poisson's ratio n, which moves the axis outwards. To second order in the curvature that stretch is
+b k^2,
     b = (1 + 3 n / 2) / 12
-for a section of plain tissue. (In plane strain of rubber the stress goes as t - 3/2 t^2 and n is 1, which makes
-b = 1/4, as in Rivlin's exact solution of flexure.) What strains a section is e' = e - b k^2.
+for a section of plain tissue. (In plane strain of rubber the stress goes as t - 3/2 t^2 and n is 1, which
+makes b = 1/4, as in Rivlin's exact solution of flexure.) What strains a section is e' = e - b k^2.
 
 Energy per length, A, B, D and G the section's stiffness:
     U = (A e'^2 + 2 B e' k + D k^2 + G g^2) / 2

@@ -1,4 +1,5 @@
-"""What a flap's outline hides and touches: clearance, how far it is inside the fixed block, which bed it hides.
+"""What a flap's outline hides and touches: clearance, how far it is inside the fixed block, which bed it
+hides.
 
 For all lanes of a block at once, as it takes longer than an equilibrium to do it lane by lane.
 """
@@ -34,8 +35,8 @@ _HEIGHT, _CAMERA_X, _CAMERA_Y, _TARGET, _ACROSS, _UP, _LOWEST, _DEEPEST, _FIRST,
 def outlines(points, flap, sight, done, measured):
     """Clearance, overlap, and which bed each lane in done hides, into its row of measured (LANES, MEASURED).
 
-    points: of `surfaces`; flap (LANES, NUMBERS), sight (LANES, SIGHT). The bed from FIRST_HIT to LAST_HIT is hidden,
-    as the outline is closed, unless some of it, HIGHEST, is as high as the camera.
+    points: of `surfaces`; flap (LANES, NUMBERS), sight (LANES, SIGHT). The bed from FIRST_HIT to LAST_HIT is
+    hidden, as the outline is closed, unless some of it, HIGHEST, is as high as the camera.
     """
     W = np.empty(11 * LANES)
     for l in range(LANES):

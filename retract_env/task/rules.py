@@ -1,7 +1,8 @@
 """What is observed, rewarded and judged, as compiled formulas on plain numbers, for many flaps at once.
 
-`RetractionTask` and `objectives` say the same for one flap, as a reader wants to read it. Here is what a batch of
-environments computes instead; tests hold both together, to the last bit. `observe` and `keypoints` serve both.
+`RetractionTask` and `objectives` say the same for one flap, as a reader wants to read it. Here is what a
+batch of environments computes instead; tests hold both together, to the last bit. `observe` and `keypoints`
+serve both.
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ TERMS = ("exposure", "clearance", "strain", "friction", "success", "failure")
 # No fastmath: every number has to be rounded as NumPy rounds it.
 @njit(cache=True, nogil=True, error_model="numpy")
 def between(at, station):
-    """Between which two of `at` (n,) ascending a station is: the first one, and how far on to the next; 0 beyond
-    the ends."""
+    """Between which two of `at` (n,) ascending a station is: the first one, and how far on to the next; 0
+    beyond the ends."""
     last = len(at) - 1
     if station <= at[0]:
         return 0, 0.0
@@ -91,8 +92,9 @@ def observe(
 ):
     """The observation, as LAYOUT describes it, into out (SIZE,) float32.
 
-    jaws: (4,) m; at_lower, lower, at_upper, upper: (n,), (n, 2) m, both surfaces at rest and now; sight: (3,) target, slope, nearness;
-    k_eq: (STIFFNESS_SAMPLES,), modulus / height; limits: (3,); low, high: bounds (SIZE,) float32.
+    jaws: (4,) m; at_lower, lower, at_upper, upper: (n,), (n, 2) m, both surfaces at rest and now; sight: (3,)
+    target, slope, nearness; k_eq: (STIFFNESS_SAMPLES,), modulus / height; limits: (3,); low, high: bounds
+    (SIZE,) float32.
     """
     dx, dy = jaws[2] - jaws[0], jaws[3] - jaws[1]
     separation = math.sqrt(dx * dx + dy * dy)
@@ -132,8 +134,8 @@ def observe(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def exposed_beside(first, last, target, near):
-    """Fraction of the bed from x = near to the target, m, that is seen where what is between first and last is
-    hidden."""
+    """Fraction of the bed from x = near to the target, m, that is seen where what is between first and last
+    is hidden."""
     low, high = min(max(first, near), target), min(max(last, near), target)
     seen = 0.0
     if low > near:

@@ -80,7 +80,7 @@ def both(count: int, mode: AutoresetMode, steps: int, seed: Any = 0, **options: 
 def test_it_says_what_single_ones_say(case: str, mode: AutoresetMode) -> None:
     """Every case in one mode for long, in the others as long as it takes to begin anew a few times."""
     long = MODES[list(CASES).index(case) % 3] is mode
-    both(5, mode, 24 if long else 8, **CASES[case])
+    both(4, mode, 20 if long else 6, **CASES[case])
 
 
 def test_episodes_of_every_kind_are_compared() -> None:

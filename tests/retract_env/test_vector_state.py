@@ -29,7 +29,7 @@ KINDS: dict[str, dict[str, Any]] = {
 MOVE = np.array([0.3, 0.8, -0.7])
 
 
-def go_on(envs: Any, steps: int = 12) -> list[Any]:
+def go_on(envs: Any, steps: int = 8) -> list[Any]:
     """All that they say from here on, new episodes of theirs included."""
     n = envs.num_envs
     said = [envs.step(np.tile(MOVE, (n, 1)) * np.linspace(0.3, 1, n)[:, None]) for _ in range(steps)]
@@ -39,18 +39,18 @@ def go_on(envs: Any, steps: int = 12) -> list[Any]:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_going_on_from_a_state_is_going_on_as_before(kind: str) -> None:
-    untouched, envs, other = (vector(10, **KINDS[kind]) for _ in range(3))
+    untouched, envs, other = (vector(9, **KINDS[kind]) for _ in range(3))
     other.reset(seed=77)
-    play(other, Player(9, 10), 5, None)
+    play(other, Player(9, 9), 3, None)
     for one in (untouched, envs):
         one.set_scene(1, "twenty_veins")  # more veins than there is room for at first
-        play(one, Player(0, 10), 6)
+        play(one, Player(0, 9), 5)
     expected = go_on(untouched)
     state = envs.get_state()
     same(go_on(envs), expected)
     kept = pickle.dumps(state)
     for given in (state, pickle.loads(kept), copy.deepcopy(state)):
-        for one in (envs, other, vector(10, **KINDS[kind])):
+        for one in (envs, other, vector(9, **KINDS[kind])):
             one.set_state(given)
             one.set_state(one.get_state())
             same(go_on(one), expected)

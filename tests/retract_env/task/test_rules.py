@@ -54,7 +54,10 @@ def test_exposure_past_a_flap(seed: int, high: float) -> None:
     edges = np.stack([ring[:-1], ring[1:]], axis=1)
     for pieces in (ring[None], edges, edges[::-1], edges[:, ::-1]):
         assert rules.exposed_past(np.ascontiguousarray(pieces), *camera, target, -0.05) == expected
-    assert rules.exposed(lower, upper, *camera, target, -0.05) == expected
+    assert rules.exposed_above(lower, upper, *camera, target, -0.05) == expected
+    if ring[:, 1].max() < camera[1]:
+        hits = objectives.bed_hits(ring, camera)
+        assert rules.exposed_beside(hits.min(), hits.max(), target, -0.05) == expected
 
 
 def test_some_of_these_flaps_are_above_the_camera() -> None:
@@ -67,7 +70,7 @@ def test_a_point_at_the_height_of_the_camera() -> None:
     upper = lower + np.array([0.0, 0.02])
     for camera in ([-0.08, 0.07], [-0.08, 0.05], [-0.05, 0.07], [-0.05, 0.05]):
         expected = objectives.exposure(outline(lower, upper), camera, (-0.01, 0.0), -0.05)
-        assert rules.exposed(lower, upper, *camera, -0.01, -0.05) == expected
+        assert rules.exposed_above(lower, upper, *camera, -0.01, -0.05) == expected
 
 
 @many
@@ -114,14 +117,12 @@ def test_the_way_from_rest_to_what_is_asked(seed: int) -> None:
 @many
 @given(seeds)
 def test_an_observation_number_by_number(seed: int) -> None:
-    """Against NumPy; surfaces at unevenly spaced places, needed friction that may be infinite."""
+    """Against NumPy; needed friction may be infinite."""
     rng = np.random.default_rng(seed)
     scene, config = default_scene(), TaskConfig()
     length, height = scene.tissue.length, scene.tissue.height
     low, high = bounds(config)
-    at = [np.sort(rng.uniform(-1.1 * length, 0.0, int(rng.integers(2, 30)))) for _ in range(2)]
-    at = [np.unique(np.append(a, [-length, 0.0]) if rng.integers(2) else a) for a in at]
-    points = [np.stack([a, np.zeros_like(a)], axis=1) + rng.normal(scale=0.03, size=(len(a), 2)) for a in at]
+    points = rng.normal(scale=0.08, size=4 * KEYPOINTS)
     jaws = rng.normal(scale=0.02, size=4)
     if rng.integers(5) == 0:
         jaws[2:] = jaws[:2]
@@ -131,16 +132,11 @@ def test_an_observation_number_by_number(seed: int) -> None:
     clearance, exposure, left = rng.uniform(-0.2, 0.2), rng.uniform(), rng.uniform()
     out = np.full(SIZE, np.nan, np.float32)
     rules.observe(
-        True, left, jaws, length, height, at[0], points[0], at[1], points[1], sight, k_eq, strain, most, one,
-        other, friction, clearance, exposure, limits, low, high, out,
+        True, left, jaws, length, height, points, sight, k_eq, strain, most, one, other, friction, clearance,
+        exposure, limits, low, high, out,
     )  # fmt: skip
     across = jaws[2:] - jaws[:2]
     separation = math.sqrt(across[0] ** 2 + across[1] ** 2)
-    stations = -length * (1 - np.arange(KEYPOINTS) / KEYPOINTS)
-    keypoints = [
-        np.stack([np.interp(stations, a, p[:, k]) for k in range(2)], axis=1) / length
-        for a, p in zip(at, points, strict=True)
-    ]
     angle = [-across[0] / separation, across[1] / separation] if separation > 0 else [0.0, 1.0]
     expected = {
         "holding": 1.0,
@@ -148,8 +144,8 @@ def test_an_observation_number_by_number(seed: int) -> None:
         "gripper": (jaws[:2] + jaws[2:]) / 2 / length,
         "angle": angle,
         "separation": separation / height,
-        "lower": keypoints[0].ravel(),
-        "upper": keypoints[1].ravel(),
+        "lower": points[: 2 * KEYPOINTS] / length,
+        "upper": points[2 * KEYPOINTS :] / length,
         "target": sight[0],
         "slope": sight[1],
         "nearness": sight[2],
@@ -164,7 +160,19 @@ def test_an_observation_number_by_number(seed: int) -> None:
     assert set(expected) == set(SLICES)
     for name, part in SLICES.items():
         clipped = np.clip(np.asarray(expected[name], np.float64), low[part], high[part]).astype(np.float32)
-        if name in ("lower", "upper"):  # np.interp rounds in another order
-            assert out[part] == pytest.approx(clipped, rel=1e-6, abs=1e-9), name
-        else:
-            assert out[part].tobytes() == np.broadcast_to(clipped, out[part].shape).tobytes(), name
+        assert out[part].tobytes() == np.broadcast_to(clipped, out[part].shape).tobytes(), name
+
+
+@many
+@given(seeds)
+def test_keypoints_are_interpolated(seed: int) -> None:
+    """Between nodes anywhere, of which the first and the last count beyond the ends."""
+    rng = np.random.default_rng(seed)
+    at = np.sort(rng.uniform(-0.055, 0.0, int(rng.integers(2, 30))))
+    at = np.unique(np.append(at, [-0.05, 0.0])) if rng.integers(2) else at
+    surface = rng.normal(scale=0.03, size=(len(at), 2))
+    out = np.empty(2 * KEYPOINTS)
+    rules.keypoints(at, surface, 0.05, out)
+    stations = -0.05 * (1 - np.arange(KEYPOINTS) / KEYPOINTS)
+    expected = np.stack([np.interp(stations, at, surface[:, k]) for k in range(2)], axis=1)
+    assert out == pytest.approx(expected.ravel(), abs=1e-14)
