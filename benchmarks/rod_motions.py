@@ -1,11 +1,11 @@
-"""Motions on the finite elements that the rod is fitted to and compared with: python -m benchmarks.rod_motions.
+"""Motions on finite elements to fit the rod to and to compare it with: python -m benchmarks.rod_motions.
 
 Random flaps are retracted on four kinds of paths: ctc and circular ones from random grasps, eased ones a
 little firmer than its planner begins with, and random actions of the environment. Each equilibrium is kept:
 where the jaws are, what they feel, strain, clearance. Three sets share no flap: `fit` is for the grip law,
 `calibration` for the quantiles that the package carries, `test` for what is published. `wide` has flaps of
-other sizes, depths and moduli for another test. `squeezes` are squeezes alone, of such flaps with any Poisson's
-ratio between jaws of any width, for the grip law.
+other sizes, depths and moduli for another test. `squeezes` are squeezes alone, of such flaps with any
+Poisson's ratio between jaws of any width, for the grip law.
 
 A line of out/rod/SET-RESOLUTION.jsonl is one motion. What is there already is not computed again.
 """

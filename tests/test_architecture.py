@@ -30,7 +30,8 @@ LONGEST_FILE = 400
 # The rooms of each package from the ground up: a module imports from its own room and from those below it.
 FLOORS = {
     "retract_env": (
-        "errors", "threads", "compilation", "config", "objectives", "grasp", "scene", "mesh", "spring", "fem", "rod",
+        "errors", "threads", "compilation", "config", "objectives", "grasp", "scene", "mesh", "spring", "fem",
+        "rod",
         "physics", "task", "rollout", "drawing", "env", "vector",
     ),
     "planners": (

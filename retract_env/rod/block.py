@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -214,7 +214,7 @@ def jaws_in(block, lane, out):
 
 @njit(error_model="numpy")
 def _of(blocks, b, scratch, factors, work, rod_strain):
-    """Block b of blocks, whose arrays have one more dimension in front, with scratch arrays of the caller's."""
+    """Block b of blocks, whose arrays have one more dimension in front, with the caller's scratch arrays."""
     return Block(
         blocks.flap[b],
         blocks.sight[b],
@@ -259,7 +259,8 @@ def advance_blocks(blocks, held, first, last):
 
 def new_blocks(count: int) -> Block:
     """So many blocks without flaps: every array has one more dimension in front."""
-    return Block(*(np.repeat(array[None], count, axis=0) for array in new_block()))
+    many: tuple[Any, ...] = tuple(np.repeat(array[None], count, axis=0) for array in new_block())
+    return Block(*many)
 
 
 def block_of(blocks: Block, b: int) -> Block:

@@ -60,8 +60,8 @@ def load() -> tuple[Array, Array]:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def compliances(flap, vertices, offsets, moduli, x, out):
-    """Compliance of the columns around x, m, over that of plain tissue, into out (PLACES,); at the flap's ends
-    that of the last column goes on. flap: numbers as `retract_env.rod.flap` has them."""
+    """Compliance of the columns around x, m, over that of plain tissue, into out (PLACES,); at the flap's
+    ends that of the last column goes on. flap: numbers as `retract_env.rod.flap` has them."""
     height, length = flap[HEIGHT], flap[LENGTH_M]
     at = np.empty(PLACES)
     for i in range(PLACES):
