@@ -92,9 +92,9 @@ def observe(
 ):
     """The observation, as LAYOUT describes it, into out (SIZE,) float32.
 
-    jaws: (4,) m; at_lower, lower, at_upper, upper: (n,), (n, 2) m, both surfaces at rest and now; sight: (3,)
-    target, slope, nearness; k_eq: (STIFFNESS_SAMPLES,), modulus / height; limits: (3,); low, high: bounds
-    (SIZE,) float32.
+    jaws: (4,) m; points: (4 KEYPOINTS,) m, keypoints of the lower, then of the upper surface; sight:
+    (3,) target, slope, nearness; k_eq: (STIFFNESS_SAMPLES,), modulus / height; limits: (3,); low, high:
+    bounds (SIZE,) float32.
     """
     dx, dy = jaws[2] - jaws[0], jaws[3] - jaws[1]
     separation = math.sqrt(dx * dx + dy * dy)
