@@ -31,18 +31,6 @@ from retract_env.scene import Jaws, Scene
 from retract_env.scene.pcg64 import state_of
 from retract_env.scene.sampling import SceneRanges
 from retract_env.task import Sensors, TaskConfig, actions
-from retract_env.task.arrays import (
-    COST,
-    COST_FRICTION,
-    COST_STRAIN,
-    EXPOSURE,
-    FAILURE,
-    MOST_FRICTION,
-    MOST_STRAIN,
-    REWARD_TERMS,
-    SUCCESS,
-    TO_LINE,
-)
 from retract_env.task.batch import (
     act_range,
     advance_range,
@@ -53,15 +41,14 @@ from retract_env.task.batch import (
 )
 from retract_env.task.episode import spring_grasps
 from retract_env.task.flaps import Flaps, Workers, cores
+from retract_env.task.infos import infos_of
 from retract_env.task.observation import bounds
-from retract_env.task.rules import FAILURES, TERMS
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 MODES = {AutoresetMode.NEXT_STEP: 0, AutoresetMode.SAME_STEP: 1, AutoresetMode.DISABLED: 2}
 """As the kernels know them."""
-_NAMES = np.array(FAILURES, dtype=object)
 
 
 class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
@@ -401,36 +388,3 @@ class VectorState:
         return VectorState(
             self.task, arrays, (self.sources[k],) * n, (self.seeds[k],) * n, special, self.grasp
         )
-
-
-def infos_of(rows: Array, mask: Flags) -> dict[str, Any]:
-    """Infos as `gymnasium.vector` has them, from rows (n, INFO); mask: (n,) which environments have any."""
-
-    def told(values: NDArray[Any], kind: Any = np.float64) -> NDArray[Any]:
-        out = values.astype(kind)
-        out[~mask] = kind()
-        return out
-
-    failure = _NAMES[rows[:, FAILURE].astype(np.int64)]
-    failure[~mask] = None
-    cost = {"strain": told(rows[:, COST_STRAIN]), "friction": told(rows[:, COST_FRICTION])}
-    terms = {name: told(rows[:, REWARD_TERMS + i]) for i, name in enumerate(TERMS)}
-    plain = {
-        "is_success": told(rows[:, SUCCESS], np.bool_),
-        "failure": failure,
-        "cost": told(rows[:, COST]),
-        "cost_terms": _masked(cost, mask),
-        "max_strain": told(rows[:, MOST_STRAIN]),
-        "required_friction": told(rows[:, MOST_FRICTION]),
-        "clearance": told(rows[:, TO_LINE]),
-        "exposure": told(rows[:, EXPOSURE]),
-        "reward_terms": _masked(terms, mask),
-    }
-    return _masked(plain, mask)
-
-
-def _masked(values: Mapping[str, Any], mask: Flags) -> dict[str, Any]:
-    out: dict[str, Any] = {}
-    for name, value in values.items():
-        out[name], out[f"_{name}"] = value, mask.copy()
-    return out

@@ -26,7 +26,7 @@ from retract_env.rod.section import ROWS, columns_of, section_of
 from retract_env.scene import Scene
 from retract_env.spring.columns import veins_of
 
-COMPILES = 60.0
+COMPILES = 90.0
 """s that the kernels of all of this usually take to compile, once, on the two cores of a virtual machine."""
 
 Array = NDArray[np.float64]
@@ -90,7 +90,7 @@ class RodPhysics:
         self._columns = columns_of(scene.tissue.length, scene.tissue.height, jaw_x)
         self.section = _section(scene, self._columns)
         self._progress = 0.0
-        self._state = self._lie()
+        self._state: TissueState | None = None
 
     def _lie(self) -> TissueState:
         """The state at rest; the flap itself is left flat, from where its jaws close."""
@@ -104,14 +104,16 @@ class RodPhysics:
 
     def reset(self) -> TissueState:
         """Let the flap rest on its bed between open jaws. Raises Diverged."""
-        self._state = self._lie()
-        return self._state
+        self._state = state = self._lie()
+        return state
 
     def move_to(self, pose: Array, progress: float | None = None) -> TissueState:
         """Move the jaws straight to a pose (4,) x, y, theta, separation.
 
         progress: where this is on a path, in waypoints. Raises Diverged; the flap is then where it was.
         """
+        if self._state is None:
+            self.reset()
         block, height = self._block, self.scene.tissue.height
         x, y, theta, separation = np.asarray(pose, float).tolist()
         before = block.grip[0, grip.COMPRESSION]
@@ -125,26 +127,26 @@ class RodPhysics:
                 rods.close(block, 0, self.jaw_x, before, *self._veins, self._held)
             raise
         self._progress = self._progress if progress is None else progress
-        self._state = self._measured()
-        return self._state
+        self._state = state = self._measured()
+        return state
 
     def _go(self, x: float, y: float, theta: float) -> None:
-        rods.aim(self._block, 0, x, y, theta)
+        rods.aim.py_func(self._block, 0, x, y, theta)  # to hand over all arrays takes longer than to do it
         rods.advance_blocks(self._blocks, self._held, 0, 1)
         if not self._block.done[0]:
             raise Diverged("no equilibrium of the rod was found")
 
     def state(self) -> TissueState:
         """The last good state."""
-        return self._state
+        return self.reset() if self._state is None else self._state
 
     def close(self) -> None:
         """Nothing to give back: this physics holds only memory of Python's own."""
 
     def get_state(self) -> RodState:
         """Where the flap stands, to be returned to any number of times."""
-        lane = rods.state_of(self._block, 0)
-        return RodState(self.scene.hash, self.jaw_x, lane, self._progress, self._state)
+        state = self.state()
+        return RodState(self.scene.hash, self.jaw_x, rods.state_of(self._block, 0), self._progress, state)
 
     def set_state(self, state: object) -> None:
         """Go on from there. Raises TypeError for no state, ValueError for that of another flap or grasp."""

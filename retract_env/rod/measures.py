@@ -203,9 +203,13 @@ def measure(pose, loads, kept, held, rod_strain, lane, out):
         out[FRICTION_1 + jaw] = abs(out[DRAG_1 + jaw]) / normal if normal > 0.0 else np.inf
     bent = BENT * max(abs(inner_m), abs(free_m))
     sheared, below = DRAGGED * drag, PRESSED * low
-    a = (pressed * pressed + bent * bent + sheared * sheared + below * below) ** (SHARPNESS / 2)
-    b = rod_strain[lane] ** SHARPNESS
-    out[WORST] = (a + b) ** (1.0 / SHARPNESS)
+    a = math.sqrt(pressed * pressed + bent * bent + sheared * sheared + below * below)
+    b = rod_strain[lane]
+    # over the larger of the two, so that absurd strains do not overflow
+    most = max(a, b)
+    out[WORST] = (
+        most * ((a / most) ** SHARPNESS + (b / most) ** SHARPNESS) ** (1.0 / SHARPNESS) if most > 0 else 0.0
+    )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

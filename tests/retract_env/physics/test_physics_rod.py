@@ -17,8 +17,8 @@ from retract_env.objectives import clearance, inside_block, required_friction
 from retract_env.physics.base import Physics, Restorable, TissueState
 from retract_env.physics.measures import tool_outline
 from retract_env.physics.rod import RodPhysics
-from retract_env.rod.chain import LANES, RIGHT
-from retract_env.rod.flap import SHORTEST
+from retract_env.rod.chain import LANES, RIGHT, SCRATCH, sweep
+from retract_env.rod.flap import FACTORS, INNER, SHORTEST
 from retract_env.rod.measures import IN_BLOCK
 from retract_env.scene import Scene, load_scene
 from retract_env.task import default_scene, sound
@@ -212,7 +212,9 @@ def test_a_flap_in_the_air_rests_on_its_jaws_and_its_fixed_end(gravity: float, x
     physics.reset()
     for pose in poses_of(scene, x, 0.25 * tissue.height)[:10]:
         state = physics.move_to(pose)
-        held = physics._block.scratch.reshape(-1, LANES)[RIGHT : RIGHT + 2, 0] * unit
+        block, scratch = physics._block, np.zeros(SCRATCH * LANES)
+        sweep(block.inner, block.inner_u, scratch, np.zeros(FACTORS * LANES), INNER, True)
+        held = scratch.reshape(-1, LANES)[RIGHT : RIGHT + 2, 0] * unit
         assert held - state.reactions.sum(axis=0) == pytest.approx([0.0, weight], abs=1e-7 * unit)
 
 
