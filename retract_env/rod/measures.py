@@ -205,11 +205,11 @@ def measure(pose, loads, kept, held, rod_strain, lane, out):
     sheared, below = DRAGGED * drag, PRESSED * low
     a = math.sqrt(pressed * pressed + bent * bent + sheared * sheared + below * below)
     b = rod_strain[lane]
-    # over the larger of the two, so that absurd strains do not overflow
+    # over the larger of the two: absurd strains, also infinite ones, do not overflow
     most = max(a, b)
-    out[WORST] = (
-        most * ((a / most) ** SHARPNESS + (b / most) ** SHARPNESS) ** (1.0 / SHARPNESS) if most > 0 else 0.0
-    )
+    out[WORST] = most
+    if 0.0 < most < np.inf:
+        out[WORST] *= ((a / most) ** SHARPNESS + (b / most) ** SHARPNESS) ** (1.0 / SHARPNESS)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

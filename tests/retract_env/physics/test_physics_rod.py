@@ -256,7 +256,7 @@ def test_at_the_corners_of_what_a_scene_may_be(number: int, jaw: float) -> None:
         except Diverged:
             pass
         for state in said:
-            # between jaws far thinner than the flap is high eps_1% may be beyond 1e51, and overflows
+            # between jaws far thinner than the flap is high, the law of a squeeze overflows
             assert np.isfinite(state.points).all() and np.isfinite(state.reactions).all()
             assert math.isfinite(state.clearance) and not math.isnan(state.worst_strain)
             assert not np.isnan(state.required_friction).any()
