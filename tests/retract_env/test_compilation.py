@@ -1,0 +1,70 @@
+"""Kernels on disk are never older than the sources that they were made of, and whoever waits is told so."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from retract_env import compilation
+
+
+@pytest.fixture
+def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A package of one kernel and of what the kernel calls, with the kernel compiled."""
+    monkeypatch.setattr(compilation, "_PACKAGE", tmp_path)
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    (tmp_path / "inner").mkdir()
+    for name in ("kernel.py", "inner/called.py"):
+        (tmp_path / name).write_text("one", "utf-8")
+    compilation.forget_old.__wrapped__()
+    (tmp_path / "__pycache__" / "kernel.f-1.py311.nbi").write_text("compiled", "utf-8")
+    return tmp_path
+
+
+def kernels(package: Path) -> list[Path]:
+    return list(package.rglob("*.nbi"))
+
+
+def test_kernels_stay_as_long_as_nothing_changes(package: Path) -> None:
+    compilation.forget_old.__wrapped__()
+    assert kernels(package)
+
+
+@pytest.mark.parametrize("changed", ["kernel.py", "inner/called.py", "inner/new.py"])
+def test_a_change_of_any_source_forgets_all(package: Path, changed: str) -> None:
+    (package / changed).write_text("another one", "utf-8")
+    compilation.forget_old.__wrapped__()
+    assert not kernels(package)
+
+
+def test_a_folder_that_numba_was_given_is_searched_too(
+    package: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    elsewhere = tmp_path_factory.mktemp("kept")
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(elsewhere))
+    compilation.forget_old.__wrapped__()
+    (stamp,) = elsewhere.rglob("kernels.stamp")
+    ours, others = stamp.with_name("kernel.f-1.nbi"), elsewhere / "other" / "kernel.nbi"
+    others.parent.mkdir()
+    for kept in (ours, others):
+        kept.write_text("compiled", "utf-8")
+    (package / "kernel.py").write_text("another one", "utf-8")
+    compilation.forget_old.__wrapped__()
+    assert not ours.exists() and others.exists()
+
+
+def test_whoever_waits_is_told_once(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(compilation, "_told", set())
+    monkeypatch.setattr(compilation, "is_cached", lambda kernel: kernel.cached)
+    fresh, kept = SimpleNamespace(signatures=[], cached=False), SimpleNamespace(signatures=[], cached=True)
+    with caplog.at_level(logging.WARNING, "retract_env"):
+        compilation.announce(kept, "what is kept", 10)
+        assert not caplog.messages
+        compilation.announce(fresh, "the rod", 90)
+        compilation.announce(fresh, "the rod", 90)
+    assert caplog.messages == ["first run: compiling the rod, some 90 s; they are then kept"]
