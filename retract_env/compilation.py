@@ -32,8 +32,8 @@ def forget_old() -> None:
         if kept.exists() and kept.read_text("utf-8") == stamp:
             return
         for folder in folders.values():
-            for index in folder.glob("*.nbi"):
-                index.unlink(missing_ok=True)
+            for one in folder.glob("*.nb[ci]"):
+                one.unlink(missing_ok=True)
         kept.parent.mkdir(parents=True, exist_ok=True)
         kept.write_text(stamp, "utf-8")
 

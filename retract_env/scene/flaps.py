@@ -1,8 +1,8 @@
 """Random flaps as plain arrays, drawn by one compiled kernel: what `sample_scene` makes its scenes of.
 
-Whoever needs thousands of flaps, as a batch of environments does, takes the arrays as they are: `draw_flaps`
-gives those of the scenes that `sample_scene` would have made of the same states, to the last bit. It does not
-check that a scene may have the values that the ranges lead to; `sample_scene` does.
+Whoever needs thousands of flaps, as a batch of environments does, takes the arrays as they are: those of the
+scenes that `sample_scene` would have made of the same states, to the last bit. `draw_flap` does not check
+that a scene may have the values that the ranges lead to; `sample_scene` does.
 
 Arrays of a flap that may have up to `most` veins, the upper end of the range of their number:
 
@@ -18,7 +18,7 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from retract_env.scene.pcg64 import State, integers, random, uniform
@@ -108,25 +108,6 @@ def draw_flap(
     for k in range(end, vertices.shape[0]):
         vertices[k, 0], vertices[k, 1] = 0.0, 0.0
     return count, placed
-
-
-@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def draw_flaps(
-    rows: State,
-    ranges: Array,
-    scalars: Array,
-    vertices: Array,
-    offsets: Indices,
-    moduli: Array,
-    counts: Indices,
-    placed: Indices,
-) -> None:
-    """`draw_flap` for n flaps at once: every array has n in front, and counts and placed are (n,).
-
-    On all of numba's threads; what is drawn does not depend on how many there are.
-    """
-    for i in prange(rows.shape[0]):
-        counts[i], placed[i] = draw_flap(rows[i], ranges, scalars[i], vertices[i], offsets[i], moduli[i])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -6,7 +6,6 @@ import hashlib
 import json
 import math
 
-import numba
 import numpy as np
 import pytest
 import shapely
@@ -66,28 +65,6 @@ def test_arrays_are_those_of_the_scene(ranges: SceneRanges) -> None:
         assert (*scalars[flaps.CAMERA_X : flaps.SLOPE], 0.0) == (*line.camera, *line.target)
         assert LineOfSight.at(scalars[flaps.TARGET_X], scalars[flaps.SLOPE]) == line
         np.testing.assert_array_equal(row, pcg64.state_of(rng))
-
-
-def test_a_batch_is_its_flaps_one_by_one_on_however_many_threads() -> None:
-    ranges, n = flaps.table(WIDE), 50
-    start = np.array([pcg64.state_of(np.random.default_rng(seed)) for seed in range(n)])
-    alone = [flaps.room(WIDE.veins[1]) for _ in range(n)]
-    rows = start.copy()
-    found = [flaps.draw_flap(row, ranges, *arrays) for row, arrays in zip(rows, alone, strict=True)]
-    together = [np.stack(arrays) for arrays in zip(*alone, strict=True)]
-    before = numba.get_num_threads()
-    try:
-        for threads in {1, numba.config.NUMBA_NUM_THREADS}:
-            numba.set_num_threads(threads)
-            batch, arrays = start.copy(), [np.full_like(array, 7) for array in together]
-            counts, placed = np.zeros(n, np.int64), np.zeros(n, np.int64)
-            flaps.draw_flaps(batch, ranges, *arrays, counts, placed)
-            np.testing.assert_array_equal(np.column_stack([counts, placed]), found)
-            np.testing.assert_array_equal(batch, rows)
-            for array, wanted in zip(arrays, together, strict=True):
-                np.testing.assert_array_equal(array, wanted)
-    finally:
-        numba.set_num_threads(before)
 
 
 def test_where_veins_find_no_room_there_are_none() -> None:
