@@ -341,10 +341,15 @@ def test_what_is_not_finite_is_never_done(row: int, value: float) -> None:
 
 def assert_stable(there: Chains, done: NDArray[np.bool_]) -> None:
     """Looked at densely, and from nothing but the residual."""
-    K = differenced_tangent(there)
     assert np.abs(residual(there)[:, done]).max(initial=0) <= TOLERANCE
-    assert np.abs(K - K.transpose(0, 2, 1))[done].max(initial=0) < 1e-6
-    assert np.linalg.eigvalsh((K + K.transpose(0, 2, 1)) / 2)[done].min(initial=1) > 0
+    # a difference across the edge of a contact, where the stiffness jumps, is no derivative
+    x, y, theta = there.nodes.transpose(1, 0, 2)
+    right, up = x + np.sin(theta) / 2, y - np.cos(theta) / 2
+    edges = np.abs([up, right, 1 - up, right - (1 - up)]).min(axis=(0, 1))
+    smooth = done & (edges > 1e-4)
+    K = differenced_tangent(there)
+    assert np.abs(K - K.transpose(0, 2, 1))[smooth].max(initial=0) < 1e-6
+    assert np.linalg.eigvalsh((K + K.transpose(0, 2, 1)) / 2)[smooth].min(initial=1) > 0
 
 
 @settings(deadline=None, max_examples=25)
