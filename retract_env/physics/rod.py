@@ -176,23 +176,33 @@ class RodPhysics:
         )
 
 
-def _section(scene: Scene, x: Array) -> SectionMesh:
-    """Two triangles an element, between sections at x (COLUMNS,) m. Veins are not followed: they are in the
-    sections' stiffness."""
-    tissue = scene.tissue
-    y = np.array([0.0, tissue.height / 2, tissue.height])
-    points = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+@lru_cache(maxsize=1)
+def _topology() -> tuple[Ints, Ints]:
+    """Triangles, two an element, and the edges of the outline: the same for every flap."""
     cell = 2 * ROWS * np.arange(FREE + INNER, dtype=np.int32)[:, None]
     corner, middle, far = cell, cell + ROWS, cell + 2 * ROWS
     lower = np.hstack([corner, far, far + 2, middle, far + 1, middle + 1])
     upper = np.hstack([corner, far + 2, corner + 2, middle + 1, middle + 2, corner + 1])
     triangles = np.stack([lower, upper], axis=1).reshape(-1, 6).astype(np.int32)
+    none = np.empty(0, np.int32)
+    some = SectionMesh(np.empty((0, 2)), triangles, none, none, (none, none), none, np.empty(0))
+    return triangles, some.boundary
+
+
+def _section(scene: Scene, x: Array) -> SectionMesh:
+    """The section between places at x (COLUMNS,) m. Veins are not followed: they are in the sections'
+    stiffness."""
+    tissue = scene.tissue
+    y = np.array([0.0, tissue.height / 2, tissue.height])
+    points = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+    triangles, boundary = _topology()
     grasp = ROWS * measures.JAWS_COLUMN
-    ends = np.repeat(np.diff(x[::2]), 3).reshape(-1, 3) * [1 / 6, 4 / 6, 1 / 6]
+    lengths = x[2::2] - x[:-2:2]
     share = np.zeros(len(x))
-    for k in range(3):
-        np.add.at(share, np.arange(FREE + INNER) * 2 + k, ends[:, k])
-    return SectionMesh(
+    share[:-2:2] += lengths / 6
+    share[1:-1:2] += 4 * lengths / 6
+    share[2::2] += lengths / 6
+    section = SectionMesh(
         points=points,
         triangles=triangles,
         vein=np.full(len(triangles), -1, np.int32),
@@ -202,3 +212,5 @@ def _section(scene: Scene, x: Array) -> SectionMesh:
         bottom_length=share,
         smeared=tissue.veins,
     )
+    section.__dict__["boundary"] = boundary  # which it would find anew for every flap
+    return section
