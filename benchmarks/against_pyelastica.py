@@ -2,8 +2,8 @@
 
 Both are public codes for rods that bend and stretch, and PyElastica's shear too. Neither is a dependency:
 
-    pip install --target /tmp/elastica --no-deps pyelastica tqdm cma dismech-newton "newton~=1.6.0" warp-lang
-    PYTHONPATH=.:/tmp/elastica python -m benchmarks.against_pyelastica
+    pip install --target build/elastica --no-deps pyelastica tqdm cma dismech-newton "newton~=1.6.0" warp-lang
+    PYTHONPATH=.:build/elastica python -m benchmarks.against_pyelastica
 
 All codes get the same flap, weight, jaws, number of elements and first guess of each pose, and one thread.
 PyElastica computes the motion towards the equilibrium, with the time step and the damping that lead there
