@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from retract_env.threads import ONE_THREAD
+from retract_env.threads import ONE_THREAD, cores
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("numpy", "scipy", "numba", "netgen-mesher", "pypardiso")
@@ -20,7 +20,7 @@ BUSY = 0.5
 
 def machine() -> str:
     """One line, and another where the machine is busy with something else."""
-    parts = [_processor(), f"{_cores()} cores", platform.system(), f"Python {platform.python_version()}"]
+    parts = [_processor(), f"{cores()} cores", platform.system(), f"Python {platform.python_version()}"]
     for name in PACKAGES:
         try:
             parts.append(f"{name} {version(name)}")
@@ -30,10 +30,6 @@ def machine() -> str:
     if hasattr(os, "getloadavg") and os.getloadavg()[0] > BUSY:
         text += f"\nbusy: load {os.getloadavg()[0]:.1f} before the start, so times will be too long"
     return text
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _processor() -> str:

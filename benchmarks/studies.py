@@ -17,9 +17,9 @@ from collections.abc import Callable, Sequence
 from benchmarks._report import ROOT, machine, progress, table
 from planners import NoPlan, plan
 from planners.deform_closure import NODES, PAIRS, brute_force
-from planners.search import cores
 from retract_env.scene import load_scene
 from retract_env.spring import SpringModel
+from retract_env.threads import cores
 
 FLAPS = ("homogeneous", "ten_veins", "twenty_veins")
 AIMS = {"brute force": "20 s (the paper: 992 s)", "fig8": "60 s"}

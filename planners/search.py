@@ -15,7 +15,6 @@ plain `Trial` judges them at the scene's own limits, and the contestant hears th
 from __future__ import annotations
 
 import math
-import os
 import threading
 import time
 from collections import defaultdict
@@ -30,6 +29,7 @@ from retract_env.errors import Diverged, MeshError
 from retract_env.grasp import Grasp, JawPath
 from retract_env.mesh import RESOLUTIONS
 from retract_env.scene import Scene
+from retract_env.threads import cores
 
 PRUNING = ("squeeze", "bound", "none")
 OnUpdate = Callable[[Sequence[Candidate]], None]
@@ -93,11 +93,6 @@ def race(
         raise NoPlan(candidates)
     timings = {**under_way.seconds, "total": time.perf_counter() - start}
     return Plan(scene, planner, best.grasp, best.path, best.certificate, candidates, timings)
-
-
-def cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 # --- Threads that end together

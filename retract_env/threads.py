@@ -18,6 +18,11 @@ _MKL_SEQUENTIAL = 1
 _MKL_CBWR_AUTO, _MKL_CBWR_STRICT = 2, 0x10000
 
 
+def cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 @contextmanager
 def single_threaded() -> Iterator[None]:
     """Processes that begin in this block compute on one thread each."""

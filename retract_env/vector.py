@@ -32,6 +32,9 @@ from retract_env.scene.pcg64 import state_of
 from retract_env.scene.sampling import SceneRanges
 from retract_env.task import Sensors, TaskConfig, actions
 from retract_env.task.batch import (
+    DISABLED,
+    NEXT_STEP,
+    SAME_STEP,
     act_range,
     advance_range,
     begin_range,
@@ -40,14 +43,19 @@ from retract_env.task.batch import (
     take_range,
 )
 from retract_env.task.episode import spring_grasps
-from retract_env.task.flaps import Flaps, Workers, cores
+from retract_env.task.flaps import Flaps, Workers
 from retract_env.task.infos import infos_of
 from retract_env.task.observation import bounds
+from retract_env.threads import cores
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-MODES = {AutoresetMode.NEXT_STEP: 0, AutoresetMode.SAME_STEP: 1, AutoresetMode.DISABLED: 2}
+MODES = {
+    AutoresetMode.NEXT_STEP: NEXT_STEP,
+    AutoresetMode.SAME_STEP: SAME_STEP,
+    AutoresetMode.DISABLED: DISABLED,
+}
 """As the kernels know them."""
 
 

@@ -104,7 +104,7 @@ def _new_run(
 ) -> Run:
     from baselines.benchmark.splits import load_benchmark
     from baselines.learning.train import Run
-    from planners.search import cores
+    from retract_env.threads import cores
 
     scenes: list[Any] = [None]
     if recipe.task.scene == "random":

@@ -59,7 +59,7 @@ def run_with_bar(
     from rich.console import Console
 
     from baselines.jobs.told import connected, run_told
-    from planners.search import cores
+    from retract_env.threads import cores
 
     if jobs is not None and cluster is not None:
         raise BadInput("--jobs and --cluster: allowed one of them, the cluster has its own workers")

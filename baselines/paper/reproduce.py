@@ -14,8 +14,8 @@ from baselines.jobs.told import connected, run_told
 from baselines.paper.experiments import Experiment, evaluate
 from baselines.paper.studies import STUDIES, study
 from baselines.paper.study import write
-from planners.search import cores
 from retract_env.errors import ConfigError
+from retract_env.threads import cores
 
 
 def names(asked: str) -> list[str]:

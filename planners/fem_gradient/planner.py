@@ -29,13 +29,14 @@ from planners import eased, paths
 from planners.base import Contestant, Plan, Proposals
 from planners.effort import TooCostly, check
 from planners.fem_gradient.sensitivity import LinearStrain, Response, Sensitivity
-from planners.search import OnUpdate, Stop, cores, race, side_by_side
+from planners.search import OnUpdate, Stop, race, side_by_side
 from retract_env.errors import Diverged, MeshError
 from retract_env.grasp import Grasp, JawPath
 from retract_env.mesh import jaw_range
 from retract_env.objectives import WORST_FRACTION, worst_mean
 from retract_env.physics.fem import FemPhysics
 from retract_env.scene import Scene
+from retract_env.threads import cores
 
 Array = NDArray[np.float64]
 

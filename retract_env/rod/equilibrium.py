@@ -59,9 +59,7 @@ def equilibrate(P, U, W, Z, count, clamped, todo, done):
         if not _settle(W, left, done):
             return
         newton_step(W, Z, count, clamped)
-        for l in range(LANES):
-            largest = W[LARGEST * LANES + l]
-            pace[l] = 0.0 if not left[l] else min(1.0, MOST_TURN / largest) if largest > 0.0 else 1.0
+        _set_pace(W, left, pace)
         _move(U, Z, U, pace, first, count)
     for l in range(LANES):
         if left[l]:
@@ -81,9 +79,8 @@ def _descend(P, U, W, Z, count, clamped, left, done):
         if not _settle(W, left, done):
             return
         newton_step(W, Z, count, clamped)
+        _set_pace(W, left, pace)
         for l in range(LANES):
-            largest = W[LARGEST * LANES + l]
-            pace[l] = 0.0 if not left[l] else min(1.0, MOST_TURN / largest) if largest > 0.0 else 1.0
             settled[l] = not left[l]
         for _ in range(HALVINGS):
             _move(U, Z, trial, pace, first, count)
@@ -102,6 +99,14 @@ def _descend(P, U, W, Z, count, clamped, left, done):
             if not waiting:
                 break
         _move(U, Z, U, pace, first, count)
+
+
+@njit(error_model="numpy")
+def _set_pace(W, left, pace):
+    """How much of Newton's step each lane takes: none that is not left, and none turns by too much."""
+    for l in range(LANES):
+        largest = W[LARGEST * LANES + l]
+        pace[l] = 0.0 if not left[l] else min(1.0, MOST_TURN / largest) if largest > 0.0 else 1.0
 
 
 @njit(error_model="numpy")

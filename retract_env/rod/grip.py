@@ -101,7 +101,7 @@ HELD = ("root", "stiff", "pushed", "free moment", "settled", "moment^2", "push")
 of flap, root c - stiff heights, bends: it is held by its surfaces, but for some length not free to bend;
 pushed: part of nu N / 2 by which it is pushed out of the jaws; free moment: share of the free part's moment
 that reaches the jaws' tangential forces; the others: of the normal force, see `bearing`."""
-ROOT, STIFF, PUSHED, FREE_MOMENT, SETTLED, BENT, PUSHING = range(7)
+ROOT, STIFF, PUSHED, FREE_MOMENT, SETTLED, THINNED, PUSHING = range(7)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -146,7 +146,7 @@ def bearing(kept, held, inner_moment, free_moment, push):
     thinner, by its square; the grip is the firmer for it as if the jaws were closed by as much.
     """
     c = kept[COMPRESSION]
-    thicker = held[BENT] * (inner_moment * inner_moment + free_moment * free_moment) + held[PUSHING] * push
+    thicker = held[THINNED] * (inner_moment * inner_moment + free_moment * free_moment) + held[PUSHING] * push
     log = kept[NORMAL] + kept[NORMAL + 1] * c + kept[NORMAL + 2] * c * c
     slope = math.exp(log) * (1.0 + c * (kept[NORMAL + 1] + 2.0 * kept[NORMAL + 2] * c))
     return c * math.exp(log) * (1.0 + held[SETTLED]) + slope * thicker

@@ -18,7 +18,7 @@ COLUMNS = 2 * (FREE + INNER) + 1
 end."""
 JAWS_COLUMN = 2 * FREE
 PINCH = 0.5
-"""Heights along the flap over which its thinning by the jaws falls to 1/e."""
+"""Heights along the flap over which its thinning by the jaws falls to a half."""
 THICKER = 1.0 / 12.0
 """Mean stretch of both surfaces of a freely bent section, times its curvature squared: less than its axis's,
 as it is thicker on the pressed side."""

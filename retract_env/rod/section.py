@@ -25,12 +25,16 @@ ROWS = 3
 TRIANGLES = 2 * (FREE + INNER)
 
 
-def columns_of(length: float, height: float, jaw_x: float) -> Array:
+@njit(cache=True, nogil=True, error_model="numpy")
+def columns_of(length, height, jaw_x):
     """(COLUMNS,) where the sections are at rest that are told of, m, from the free end to the fixed one."""
     left = min(-length, jaw_x - SHORTEST * height)
-    free = left + (jaw_x - left) * (np.arange(2 * FREE) / (2 * FREE))
-    inner = jaw_x * (1 - np.arange(2 * INNER + 1) / (2 * INNER))
-    return np.concatenate([free, inner])
+    columns = np.empty(COLUMNS)
+    for k in range(2 * FREE):
+        columns[k] = left + (jaw_x - left) * (k / (2 * FREE))
+    for k in range(2 * INNER + 1):
+        columns[2 * FREE + k] = jaw_x * (1 - k / (2 * INNER))
+    return columns
 
 
 def section_of(

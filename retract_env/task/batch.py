@@ -12,7 +12,7 @@ from numba import njit
 
 from retract_env.rod.block import advance_blocks, borrowed
 from retract_env.rod.chain import LANES
-from retract_env.task.lanes import act, begin, hold_on, look, settle, take
+from retract_env.task.lanes import act, begin, hold_on, settle, take
 from retract_env.task.shown import observe_now, tell
 
 NEXT_STEP, SAME_STEP, DISABLED = range(3)
@@ -91,12 +91,3 @@ def take_range(blocks, lanes, rules, told, first, last):
         for i in range(b * LANES, min((b + 1) * LANES, len(lanes.steps))):
             if told.renewed[i] and not told.failed[i] and not math.isnan(lanes.given[i, 0]):
                 take(lanes, rules, block, i, lanes.given[i, 0], lanes.given[i, 1])
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def look_range(blocks, lanes, rules, told, first, last):  # noqa: ARG001
-    """Note what does not change while an environment has its flap, in blocks first to last, exclusive."""
-    for b in range(first, last):
-        block = borrowed(blocks, b)
-        for i in range(b * LANES, min((b + 1) * LANES, len(lanes.steps))):
-            look(lanes, block, i)

@@ -20,7 +20,6 @@ from retract_env.scene.pcg64 import WORDS, give_back, state_of
 from retract_env.scene.sampling import POISSON, SceneRanges
 from retract_env.spring.columns import veins_of
 from retract_env.task.arrays import INFO, Lanes, Rules, Told
-from retract_env.task.batch import look_range
 from retract_env.task.config import TaskConfig
 from retract_env.task.observation import SIZE, SLICES, Sensors, bounds
 from retract_env.task.rules import KEYPOINTS, STIFFNESS_SAMPLES, TERMS
@@ -120,8 +119,6 @@ class Flaps:
         lanes.offsets[k, : len(offsets)], lanes.offsets[k, len(offsets) :] = offsets, offsets[-1]
         lanes.moduli[k, : len(moduli)], lanes.moduli[k, len(moduli) :] = moduli, 0.0
         self._alike_in(k, scene)
-        block = k // LANES
-        look_range(self.blocks, self.lanes, self.rules, self.told, block, block + 1)
 
     def put_random(self, k: int) -> None:
         """Have environment k draw a flap when its next episode begins."""
@@ -215,8 +212,3 @@ class Workers:
 
     def __getstate__(self) -> dict[str, Any]:
         return self.__dict__ | {"_pool": None}
-
-
-def cores() -> int:
-    """That this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

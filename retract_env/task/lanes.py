@@ -73,7 +73,6 @@ def new_flap(lanes, rules, block, i):
     flap[MODULUS], flap[POISSON] = scalars[flaps.MODULUS], rules.poisson
     sight[CAMERA_X], sight[CAMERA_Y] = scalars[flaps.CAMERA_X], scalars[flaps.CAMERA_Y]
     sight[TARGET_X] = scalars[flaps.TARGET_X]
-    look(lanes, block, i)
     return wanted == placed
 
 
@@ -101,6 +100,7 @@ def begin(lanes, rules, block, i):
     """Environment i at the outset of an episode; False where there is no room for a random flap's veins."""
     if lanes.random[i] and not new_flap(lanes, rules, block, i):
         return False
+    look(lanes, block, i)
     flap, sight = block.flap[i % LANES], block.sight[i % LANES]
     length, height, width = flap[LENGTH_M], flap[HEIGHT], flap[JAW_WIDTH]
     lanes.holding[i], lanes.steps[i], lanes.over[i] = False, 0, False

@@ -6,8 +6,9 @@ import numpy as np
 from numba import njit
 
 from retract_env.rod.chain import LANES
-from retract_env.rod.flap import FREE, HEIGHT, INNER, LENGTH_M, SHORTEST
+from retract_env.rod.flap import HEIGHT, LENGTH_M
 from retract_env.rod.measures import COLUMNS
+from retract_env.rod.section import columns_of
 from retract_env.scene.ziggurat import standard_normal
 from retract_env.task.arrays import (
     COST,
@@ -50,13 +51,7 @@ def lying(length, height):
 @njit(**INSIDE)
 def find_keypoints(lanes, i, length, height):
     """Between which sections environment i's keypoints are, once it is known where its jaws grasp."""
-    x = lanes.grasp[i, 0]
-    left = min(-length, x - SHORTEST * height)
-    at = np.empty(COLUMNS)
-    for k in range(2 * FREE):
-        at[k] = left + (x - left) * (k / (2 * FREE))
-    for k in range(2 * INNER + 1):
-        at[2 * FREE + k] = x * (1 - k / (2 * INNER))
+    at = columns_of(length, height, lanes.grasp[i, 0])
     for k in range(KEYPOINTS):
         lanes.section[i, k], lanes.share[i, k] = between(at, station(k, length))
 
