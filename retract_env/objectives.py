@@ -19,6 +19,11 @@ WORST_FRACTION = 0.01
 """Share of the volume that eps_1% averages over."""
 
 
+IN_BLOCK = 1e-3
+"""Part of the height that tissue has to be inside the fixed block to count: nodes beside the fixed end keep
+off it by rounding alone."""
+
+
 def strain(stretches: ArrayLike) -> Array:
     """Largest principal strain in magnitude, max |stretch - 1|.
 

@@ -18,7 +18,7 @@ from retract_env.fem.assembly import Assembly
 from retract_env.fem.elements import ElementBlock, lame
 from retract_env.fem.linear import Factor, cholesky
 from retract_env.mesh import SectionMesh
-from retract_env.objectives import clearance, inside_block, required_friction, strain, worst_mean
+from retract_env.objectives import IN_BLOCK, clearance, inside_block, required_friction, strain, worst_mean
 from retract_env.physics.base import TissueState
 from retract_env.scene import Scene
 
@@ -28,9 +28,6 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
-IN_BLOCK = 1e-3
-"""Part of the height that tissue has to be inside the fixed block to count: nodes beside the fixed end keep
-off it by rounding alone."""
 EDGE = 0.2
 """Over a jaw's width, side of the square that may be covered twice. Beside the sharp edge of a rigid patch
 the surface of a soft solid folds on the scale of the elements there; a real pad's edge is rounder than that.

@@ -35,8 +35,6 @@ which the rod's bed, soft as it is, does not feel: it pushes them up with INTO_B
 they press on the tissue between them with RELIEVED d less, and it is strained by PRESSED d. From random
 motions, all of them outside the limits; it is there so that nothing is gained by pressing the jaws into the
 bed."""
-IN_BLOCK = 1e-3
-"""Heights that tissue has to be inside the fixed block to count, as on finite elements."""
 
 # What is measured, as a row of numbers
 WORST, NORMAL_1, NORMAL_2, DRAG_1, DRAG_2, FRICTION_1, FRICTION_2, CLEARANCE, OVERLAP = range(9)
@@ -55,20 +53,28 @@ def surfaces(Uf, Ui, thinned, points):
     _along(Ui, INNER, JAWS_COLUMN, thinned, points)
     # the two parts end at the jaws, pushed apart a little: the section there is half way
     last = 3 * FREE * LANES
+    Q = points[4 * JAWS_COLUMN * LANES : 4 * (JAWS_COLUMN + 1) * LANES]
     for l in range(LANES):
         x = 0.5 * (Uf[last + l] + Ui[l])
         y = 0.5 * (Uf[last + LANES + l] + Ui[LANES + l])
         s, c = sine_cosine(Ui[2 * LANES + l])
-        half = 0.5 * (1.0 - thinned[l])
-        _put(points, JAWS_COLUMN * 4 * LANES + l, x, y, s, c, half)
+        _put(Q, l, x, y, s, c, 0.5 * (1.0 - thinned[l]))
 
 
 @njit(fastmath=CONTRACT, error_model="numpy")
-def _put(points, at, x, y, s, c, half):
-    points[at] = x + half * s
-    points[at + LANES] = y - half * c
-    points[at + 2 * LANES] = x - half * s
-    points[at + 3 * LANES] = y + half * c
+def _put(Q, l, x, y, s, c, half):
+    """One lane's section into its rows of points: around (x, y), half of its height to each side."""
+    Q[l] = x + half * s
+    Q[LANES + l] = y - half * c
+    Q[2 * LANES + l] = x - half * s
+    Q[3 * LANES + l] = y + half * c
+
+
+@njit(fastmath=CONTRACT, error_model="numpy")
+def _half(ax, ay, thinned):
+    """Half of the height of a section that is (ax, ay) from the jaws."""
+    far = math.sqrt(ax * ax + ay * ay) * (1.0 / PINCH)
+    return 0.5 - 0.5 * thinned / (1.0 + far * far)
 
 
 @njit(fastmath=CONTRACT, error_model="numpy")
@@ -80,13 +86,8 @@ def _along(U, count, first, thinned, points):
         Q = points[4 * (first + 2 * node) * LANES : 4 * (first + 2 * node) * LANES + 4 * LANES]
         for l in range(LANES):
             s, c = sine_cosine(V[2 * LANES + l])
-            ax, ay = V[l] - x_jaws[l], V[LANES + l] - x_jaws[LANES + l]
-            far = math.sqrt(ax * ax + ay * ay) * (1.0 / PINCH)
-            half = 0.5 - 0.5 * thinned[l] / (1.0 + far * far)
-            Q[l] = V[l] + half * s
-            Q[LANES + l] = V[LANES + l] - half * c
-            Q[2 * LANES + l] = V[l] - half * s
-            Q[3 * LANES + l] = V[LANES + l] + half * c
+            x, y = V[l], V[LANES + l]
+            _put(Q, l, x, y, s, c, _half(x - x_jaws[l], y - x_jaws[LANES + l], thinned[l]))
     for node in range(count):
         V = U[3 * node * LANES : 3 * node * LANES + 6 * LANES]
         Q = points[4 * (first + 2 * node + 1) * LANES : 4 * (first + 2 * node + 1) * LANES + 4 * LANES]
@@ -99,13 +100,7 @@ def _along(U, count, first, thinned, points):
             bulge = 0.125 * length * (t1 - t0)
             x = 0.5 * (V[l] + V[3 * LANES + l]) + bulge * s
             y = 0.5 * (V[LANES + l] + V[4 * LANES + l]) - bulge * c
-            ax, ay = x - x_jaws[l], y - x_jaws[LANES + l]
-            far = math.sqrt(ax * ax + ay * ay) * (1.0 / PINCH)
-            half = 0.5 - 0.5 * thinned[l] / (1.0 + far * far)
-            Q[l] = x + half * s
-            Q[LANES + l] = y - half * c
-            Q[2 * LANES + l] = x - half * s
-            Q[3 * LANES + l] = y + half * c
+            _put(Q, l, x, y, s, c, _half(x - x_jaws[l], y - x_jaws[LANES + l], thinned[l]))
 
 
 @njit(cache=True, nogil=True, fastmath=CONTRACT, error_model="numpy")

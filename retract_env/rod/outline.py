@@ -11,6 +11,7 @@ import math
 import numpy as np
 from numba import njit
 
+from retract_env.objectives import IN_BLOCK
 from retract_env.rod.chain import LANES
 from retract_env.rod.flap import HEIGHT
 from retract_env.rod.measures import (
@@ -20,7 +21,6 @@ from retract_env.rod.measures import (
     COLUMNS,
     FIRST_HIT,
     HIGHEST,
-    IN_BLOCK,
     LAST_HIT,
     OVERLAP,
     TARGET_X,

@@ -13,13 +13,12 @@ from planners.paths import INCREMENTS, ctc
 from retract_env.errors import Diverged
 from retract_env.grasp import Grasp
 from retract_env.mesh import jaw_range
-from retract_env.objectives import clearance, inside_block, required_friction
+from retract_env.objectives import IN_BLOCK, clearance, inside_block, required_friction
 from retract_env.physics.base import Physics, Restorable, TissueState
 from retract_env.physics.measures import tool_outline
 from retract_env.physics.rod import RodPhysics
 from retract_env.rod.chain import LANES, RIGHT, SCRATCH, sweep
 from retract_env.rod.flap import FACTORS, INNER, SHORTEST
-from retract_env.rod.measures import IN_BLOCK
 from retract_env.scene import Scene, load_scene
 from retract_env.task import default_scene, sound
 from tests.retract_env.extremes import CORNERS, corner, scene_with
