@@ -15,6 +15,7 @@ from planners.light_grip import LightGrip
 from planners.paths import PAPER_PATHS
 from planners.proposals import along, stable_grasps, uniform_grasps
 from planners.search import OnUpdate, generate_and_test, race
+from planners.swift.planner import plan_swift
 from retract_env.grasp import Grasp, JawPath
 from retract_env.scene import Scene
 
@@ -66,6 +67,7 @@ PLANNERS: dict[str, Planner] = {
     "exhaustive": partial(_search, "exhaustive", uniform_grasps, PAPER_PATHS),
     "light_grip": partial(_improve, "light_grip", LightGrip),
     "deform_closure": partial(_search, "deform_closure", closure_grasps, ["ctc"]),
+    "swift": plan_swift,
     "eased": plan_eased,
     "fem_gradient": plan_fem_gradient,
     "elastica": partial(_improve, "elastica", _elastica),

@@ -74,6 +74,8 @@ class Verdict:
     """m"""
     progress: float = math.nan
     """in waypoints, of the last equilibrium; 0: none was found with the jaws closed at all"""
+    history: Mapping[str, list[Any]] | None = None
+    """as a certificate's, of a retraction that was followed"""
 
 
 def verdict_of(retraction: Retraction, reason: str | None = None) -> Verdict:
@@ -82,7 +84,7 @@ def verdict_of(retraction: Retraction, reason: str | None = None) -> Verdict:
     assert reason is not None, "a verdict is final"
     progress = retraction.frames[-1].progress if retraction.frames else math.nan
     strain, friction = retraction.max_strain, retraction.required_friction
-    return Verdict(reason, strain, friction, retraction.clearance, progress)
+    return Verdict(reason, strain, friction, retraction.clearance, progress, retraction.history())
 
 
 Proposals = Generator[tuple[Grasp, JawPath], Verdict, Verdict | None]

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -146,6 +147,19 @@ class Retraction:
         found = self._looked_between(found or "not_visible", whole, on_increment)
         self._shapes = []
         self.reason = found
+
+    def history(self) -> dict[str, list[Any]]:
+        """What a certificate tells of each frame."""
+        frames = self.frames
+        return {
+            "progress": [f.progress for f in frames],
+            "strain": [f.worst_strain for f in frames],
+            "worst_at": [f.worst_at.tolist() for f in frames],
+            "friction": [f.required_friction.tolist() if f.progress >= 1 else [0.0, 0.0] for f in frames],
+            "reactions": [f.reactions.tolist() for f in frames],
+            "clearance": [f.clearance for f in frames],
+            "jaws": [f.jaws.tolist() for f in frames],
+        }
 
     def _increments(self) -> Iterator[float]:
         """Progress at each increment of the motion: every waypoint, long steps divided."""

@@ -37,15 +37,6 @@ class Trial(Retraction):
         """The verdict, once the trial has ended."""
         assert self.physics is not None and self.reason in REASONS
         limits, frames = self.scene.limits, self.frames
-        history = {
-            "progress": [f.progress for f in frames],
-            "strain": [f.worst_strain for f in frames],
-            "worst_at": [f.worst_at.tolist() for f in frames],
-            "friction": [f.required_friction.tolist() if f.progress >= 1 else [0.0, 0.0] for f in frames],
-            "reactions": [f.reactions.tolist() for f in frames],
-            "clearance": [f.clearance for f in frames],
-            "jaws": [f.jaws.tolist() for f in frames],
-        }
         prism = self.physics.model.prism
         return Certificate(
             certified=self.reason == "ok",
@@ -64,7 +55,7 @@ class Trial(Retraction):
             scene_hash=self.scene.hash,
             grasp={"x": self.grasp.x, "compression": self.grasp.compression},
             path={"kind": self.path.kind, "end": frames[-1].progress},
-            history=history,
+            history=self.history(),
             peaks=self._peaks(),
             clearance_limit=limits.clearance,
             frames=tuple(frames),

@@ -11,14 +11,17 @@ from retract_env.scene.parts import (
     load_scene,
     sample_scene,
 )
+from retract_env.scene.uncertainty import UNKNOWNS, Uncertainty
 
 __all__ = [
+    "UNKNOWNS",
     "Jaws",
     "Limits",
     "LineOfSight",
     "Scene",
     "SceneError",
     "Tissue",
+    "Uncertainty",
     "Vein",
     "load_scene",
     "sample_scene",

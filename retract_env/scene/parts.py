@@ -30,6 +30,7 @@ from retract_env.config import (
     refusal,
 )
 from retract_env.errors import ConfigError, SceneError
+from retract_env.scene.uncertainty import Uncertainty
 from retract_env.scene.veins import MOST_VEINS, MOST_VERTICES, Outline, fitted, simple
 
 if TYPE_CHECKING:
@@ -158,6 +159,7 @@ class Jaws(_Part):
     """m, how far the stem reaches away from the tissue; it is half as wide as the pad is thick."""
 
 
+# `uncertainty` is new likewise, as a whole.
 ADDED: dict[str, dict[str, Any]] = {
     "limits": {"clearance": 0.0},
     "jaws": {"in_sight": False, "thickness": 1e-3, "stem": 5e-3},
@@ -177,6 +179,8 @@ class Scene(_Part):
     """Along -y, m/s^2."""
     bed: Flag = True
     """Whether the flap lies on something at y = 0."""
+    uncertainty: Uncertainty = Uncertainty()
+    """What of all this, and of a plan, is not known."""
 
     @model_validator(mode="after")
     def _parts_agree(self) -> Scene:
@@ -203,6 +207,8 @@ class Scene(_Part):
     def hash(self) -> str:
         """SHA-256, hex, of the values without the name; equal scenes on any machine have equal ones."""
         values = self.model_dump(mode="json", exclude={"name"})
+        if self.uncertainty == Uncertainty():
+            del values["uncertainty"]
         for part, added in ADDED.items():
             for name, default in added.items():
                 if values[part][name] == default:

@@ -1,0 +1,263 @@
+"""The rod's optimum made to hold on finite elements and on flaps as they may turn out to be: "swift".
+
+A search on the rod begins at a few places and ends with grasps and paths that hold on a sample of what is not
+known (`uncertainty` of the scene). The best one is handed in. What the judge's finite elements felt along it
+more than the rod is added to the rod on all flaps, and the optimum is found again (modifier adaptation of
+zeroth order, as in `planners.elastica`): until the plan that was judged is the one that the corrected rod
+would choose. Where the judge refuses what is best, the runner-up is tried.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planners import eased, paths
+from planners.base import Contestant, Plan, Proposals, Verdict
+from planners.search import OnUpdate, race
+from planners.swift.program import (
+    BEYOND,
+    COUNT,
+    GRIP,
+    PART,
+    PLACE,
+    STRETCH,
+    TIMES,
+    TURN,
+    Correction,
+    Program,
+    jaw_path,
+)
+from planners.whatif import Flaps
+from retract_env.mesh import jaw_range
+from retract_env.scenarios import draws
+from retract_env.scene import Scene, Uncertainty
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+KIND = "swift"
+SAMPLES, SEED = 1024, 20_091_011
+"""Flaps as they may turn out to be on which a plan is to hold, drawn once and for all."""
+HARD = 128
+"""Of these, so many are looked at again and again."""
+WORST, NEAR = 4, 0.02
+"""How many of those that fail worst join the program at a time, and how near to failing they have to be."""
+ASIDE = (0.0, -0.1, 0.1)
+"""Where the search begins, over the length, from the place that `planners.eased` begins at."""
+FIRMER = 1.5
+"""Compression at first, over the one there."""
+ROUNDS, STEPS, FIRST_STEPS = 4, 10, 8
+RESERVE = 0.975
+"""Part of the friction limit that a plan may need: between poses, and on other flaps than the one that was
+judged, finite elements differ from the corrected rod by some hundredths."""
+UNJUDGED = 0.95
+"""Likewise before anything was judged."""
+CLEAR = 1e-3
+"""Clearance asked for at the end, over the flap's length."""
+CORRECTIONS = 2
+"""How often a plan is found again with what the judge felt."""
+SAME = 0.01
+"""A plan whose strain would change by less than this part is not judged again."""
+
+
+@dataclass
+class Found:
+    """A plan by the rod."""
+
+    unknowns: Array
+    strain: float
+    violation: float
+    """the greatest of the scene's own flap and of the sample"""
+    failing: int
+    """of the sample"""
+
+    @property
+    def rank(self) -> tuple[bool, float]:
+        holds = self.violation <= TOLERATED
+        return not holds, self.strain if holds else self.violation
+
+
+TOLERATED = 5e-3
+"""Violation that counts as none."""
+
+
+class Search:
+    """Plans on the rod that hold on the sample."""
+
+    def __init__(self, scene: Scene, on_step: Callable[[], None] = lambda: None):
+        self.scene, self.on_step = scene, on_step
+        self.own = Flaps(scene)
+        exact = scene.uncertainty == Uncertainty.none()
+        self.sample = None if exact else Flaps(scene, draws(SAMPLES, SEED))
+        self.correction = Correction()
+        self.reserve = UNJUDGED
+        self.evaluations = 0
+
+    def starts(self) -> list[Array]:
+        """Where the search begins: eased paths from a few places."""
+        tissue, line = self.scene.tissue, self.scene.line_of_sight
+        radius = paths.goal_radius(line.camera, line.target)
+        place, first = (
+            float(np.interp(radius / tissue.length, eased.RADII, values))
+            for values in (eased.PLACES, eased.FIRST)
+        )
+        low, high = jaw_range(tissue.length, self.scene.jaws.width)
+        places = {
+            float(np.clip(-place - aside, low / tissue.length, high / tissue.length)) for aside in ASIDE
+        }
+        out = []
+        for at in sorted(places):
+            u = np.empty(COUNT)
+            u[PLACE] = at
+            u[TURN] = float(paths.arc_turn(1 / radius, -at * tissue.length, tissue.height))
+            u[STRETCH], u[PART] = eased.STRETCH * np.array([1, 2, 3]) / 3, eased.TURN
+            u[GRIP] = FIRMER * first
+            u[BEYOND] = 1.0, 0.0
+            out.append(u)
+        return out
+
+    def _program(self, flaps: Flaps, own: bool = True) -> Program:
+        """own: whether the first of the flaps is the scene's own."""
+        return Program(self.scene, flaps, self.reserve, CLEAR, self.correction, own)
+
+    def improve(
+        self, unknowns: Array, steps: int = STEPS, rounds: int = ROUNDS, radius: float = 2.0
+    ) -> Found:
+        """Solve on the scene's own flap and on those of the sample that fail worst, until none fails.
+
+        Between the rounds only the HARD flaps of the sample are looked at, those that were nearest to failing
+        at first and at the end of all rounds.
+        """
+        active = self.own
+        chosen: set[int] = set()
+        hard, nearest = self._nearest(unknowns)
+        for round_ in range(rounds):
+            self.on_step()
+            if round_ and self.sample is not None:
+                nearest = hard[self._order(unknowns, self.sample.chosen(hard))]
+            new = [i for i in nearest.tolist() if i not in chosen][:WORST]
+            if round_ and not new:
+                break
+            if new:
+                chosen.update(new)
+                assert self.sample is not None
+                active = active.joined(self.sample.chosen(new))
+            program = self._program(active)
+            unknowns, _, _ = program.solve(unknowns, steps, radius if round_ == 0 else radius / 2)
+            self.evaluations += program.evaluations
+        return self.look(unknowns)
+
+    def _nearest(self, unknowns: Array) -> tuple[Indices, Indices]:
+        """The HARD flaps of the sample, and those of them that fail or nearly do, the worst first."""
+        if self.sample is None:
+            return np.zeros(0, np.int64), np.zeros(0, np.int64)
+        excess = self._excess(unknowns, self.sample)
+        hard = np.argsort(-excess, kind="stable")[:HARD]
+        return hard, hard[excess[hard] > -NEAR]
+
+    def _order(self, unknowns: Array, flaps: Flaps) -> Indices:
+        """Which of some flaps fail or nearly do, the worst first."""
+        excess = self._excess(unknowns, flaps)
+        order = np.argsort(-excess, kind="stable")
+        return order[excess[order] > -NEAR]
+
+    def _excess(self, unknowns: Array, flaps: Flaps) -> Array:
+        program = self._program(flaps, own=False)
+        return program.excess(program.standing(unknowns[None])[0])
+
+    def look(self, unknowns: Array) -> Found:
+        """What a plan comes to."""
+        program = self._program(self.own)
+        own = program.standing(unknowns[None])[0]
+        excess = program.excess(own)
+        if self.sample is not None:
+            excess = np.concatenate([excess, self._excess(unknowns, self.sample)])
+        failing = int((excess[1:] > TOLERATED).sum())
+        return Found(unknowns, program.strain(own), max(0.0, float(excess.max())), failing)
+
+    def hear(self, unknowns: Array, verdict: Verdict) -> None:
+        """Correct the rod by what the judge felt along a plan."""
+        if verdict.history is None:
+            return
+        program = Program(self.scene, self.own, self.reserve, CLEAR, Correction())
+        rod = program.standing(unknowns[None])[0]
+        at = (np.asarray(verdict.history["progress"]) - 1) / paths.INCREMENTS
+        moved = at >= -1e-9
+        if moved.sum() < 2:
+            return
+        at = at[moved]
+        ends = np.concatenate([[0.0], (TIMES[1:] + TIMES[:-1]) / 2, [TIMES[-1]]])
+        known = at[-1] + 1e-9 >= TIMES
+        length = self.scene.tissue.length
+
+        def greatest(values: Array) -> Array:
+            """Around each pose that was reached."""
+            out = np.empty(len(TIMES))
+            for i in range(len(TIMES)):
+                low, high = min(ends[i], at[-1]), min(ends[i + 1], at[-1])
+                inside = values[(at >= low) & (at <= high)]
+                out[i] = max([*inside, *np.interp([low, high], at, values)])
+            return out
+
+        strain = np.asarray(verdict.history["strain"])[moved]
+        friction = np.minimum(np.asarray(verdict.history["friction"])[moved].max(-1), 5.0)
+        clearance = np.interp(TIMES, at, np.asarray(verdict.history["clearance"])[moved])
+        correction = Correction(
+            greatest(strain) / rod.strain[0],
+            greatest(friction) - greatest(np.interp(at, TIMES, rod.friction[0])),
+            clearance - rod.clearance[0] * length,
+        )
+        last = int(np.flatnonzero(known)[-1])
+        for values in (correction.strain, correction.friction, correction.clearance):
+            values[last + 1 :] = values[last]
+        self.correction, self.reserve = correction, RESERVE
+
+
+class Swift(Contestant):
+    """Hands in the best plan of a search, and again with what the judge felt."""
+
+    def __init__(self, scene: Scene, search: Search, ranked: list[Found]):
+        super().__init__(*jaw_path(scene, ranked[0].unknowns, KIND))
+        self.scene, self.search, self.ranked = scene, search, ranked
+
+    def propose(self, on_increment: Callable[[], None]) -> Proposals:
+        """The best plan, corrected; then the runner-up, should the judge refuse it."""
+        self.search.on_step = on_increment
+        for found in self.ranked:
+            current = found
+            verdict = yield jaw_path(self.scene, current.unknowns, KIND)
+            for _ in range(CORRECTIONS):
+                self.search.hear(current.unknowns, verdict)
+                better = self.search.improve(current.unknowns, radius=0.5)
+                now = self.search.look(current.unknowns)
+                holds = verdict.reason == "ok" and now.violation <= TOLERATED
+                if holds and better.strain > (1 - SAME) * now.strain:
+                    return None
+                current = better
+                verdict = yield jaw_path(self.scene, current.unknowns, KIND)
+            if verdict.reason == "ok":
+                return None
+        return None
+
+
+def plan_swift(
+    scene: Scene,
+    *,
+    resolution: str,
+    workers: int | None,
+    on_update: OnUpdate | None,
+) -> Plan:
+    """Search on the rod, then hand in the best until it is certified and fits. Raises NoPlan."""
+    start = time.perf_counter()
+    search = Search(scene)
+    tried = sorted((search.improve(u, FIRST_STEPS, 2) for u in search.starts()), key=lambda f: f.rank)
+    ranked = [search.improve(tried[0].unknowns, radius=0.5), *tried[1:2]]
+    found = time.perf_counter()
+    plan = race(scene, [Swift(scene, search, ranked)], KIND, resolution, workers, on_update)
+    timings = {**plan.timings, "search": found - start, "total": time.perf_counter() - start}
+    return replace(plan, timings=timings)

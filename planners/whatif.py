@@ -1,0 +1,95 @@
+"""Retractions on the rod, thousands of them: a plan on flaps as they may be, and many plans on one flap."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from retract_env.mesh import jaw_range
+from retract_env.physics.rod import flap_numbers, laws, sight_numbers
+from retract_env.rod.flap import HEIGHT, JAW_WIDTH, MODULUS, POISSON, SPECIFIC_WEIGHT
+from retract_env.rod.follow import Followed, Retractions, follow
+from retract_env.rod.measures import TARGET_X
+from retract_env.scenarios import values
+from retract_env.scene import Scene
+from retract_env.spring.columns import veins_of
+from retract_env.threads import cores
+
+Array = NDArray[np.float64]
+
+
+class Flaps:
+    """One scene's flap as it may be: k of them."""
+
+    def __init__(self, scene: Scene, z: ArrayLike | None = None, force: float = math.nan):
+        """z: (k, UNKNOWNS) draws; None: the scene itself alone. force: N, of the grip, if it has one."""
+        self.scene = scene
+        self.veins = veins_of(scene.tissue)
+        flap, sight = flap_numbers(scene), sight_numbers(scene)
+        if z is None:
+            self.flap, self.sight, self.factors = flap[None], sight[None], np.ones((1, 2))
+            self.friction = np.array([scene.limits.friction])
+            self.shift, self.closing, self.force = np.zeros(1), np.zeros(1), np.ones(1)
+            return
+        v = values(scene, z, force)
+        k = len(v.modulus)
+        self.flap, self.sight = np.tile(flap, (k, 1)), np.tile(sight, (k, 1))
+        self.flap[:, HEIGHT] *= v.thickness
+        self.flap[:, MODULUS] *= v.modulus
+        self.flap[:, POISSON] = v.poisson
+        self.flap[:, SPECIFIC_WEIGHT] *= v.weight
+        self.flap[:, JAW_WIDTH] *= v.jaw_width
+        self.sight[:, TARGET_X] += v.target
+        self.factors = np.column_stack([v.thickness, v.modulus * v.vein_modulus])
+        self.friction = v.friction * scene.limits.friction
+        self.shift, self.closing, self.force = v.grasp, v.closing, v.force
+
+    def __len__(self) -> int:
+        return len(self.flap)
+
+    def joined(self, other: Flaps) -> Flaps:
+        """These and others of the same scene."""
+        out = Flaps(self.scene)
+        for name in ("flap", "sight", "factors", "friction", "shift", "closing", "force"):
+            setattr(out, name, np.concatenate([getattr(self, name), getattr(other, name)]))
+        return out
+
+    def chosen(self, rows: ArrayLike) -> Flaps:
+        """Some of them."""
+        out = Flaps(self.scene)
+        for name in ("flap", "sight", "factors", "friction", "shift", "closing", "force"):
+            setattr(out, name, getattr(self, name)[np.asarray(rows)])
+        return out
+
+    def follow(self, x: ArrayLike, poses: ArrayLike, goal: float = math.inf) -> Followed:
+        """Follow m plans on each of the k flaps: row i * m + j is plan j on flap i.
+
+        x: (m,) m, where they grasp; poses: (m, t, 4) x, y, theta and separation, m, as the plan has them;
+        goal: m, the clearance with which a retraction is over.
+        """
+        x, poses = np.asarray(x, float), np.asarray(poses, float)
+        k, (m, t, _) = len(self), poses.shape
+        height = self.flap[:, HEIGHT]
+        least, greatest = jaw_range(self.scene.tissue.length, self.scene.jaws.width)
+        at = np.clip(x + self.shift[:, None], least, greatest)
+        all_poses = np.empty((k, m, t, 4))
+        all_poses[:] = poses
+        all_poses[..., 0] += (at - x)[..., None]
+        all_poses[..., 1] += ((height - self.scene.tissue.height) / 2)[:, None, None]
+        separation = poses[..., 3] - self.closing[:, None, None]
+        all_poses[..., 3] = 1 - separation / height[:, None, None]
+        return follow(
+            Retractions(
+                np.repeat(self.flap, m, axis=0),
+                np.repeat(self.sight, m, axis=0),
+                *self.veins,
+                np.repeat(self.factors, m, axis=0),
+                at.ravel(),
+                all_poses.reshape(k * m, t, 4),
+                np.full(k * m, goal),
+            ),
+            *laws(),
+            cores(),
+        )
