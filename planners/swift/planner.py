@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from planners import eased, paths
 from planners.base import Contestant, Plan, Proposals, Verdict
+from planners.correction import Correction, correction
 from planners.search import OnUpdate, race
 from planners.swift.program import (
     BEYOND,
@@ -28,9 +29,9 @@ from planners.swift.program import (
     STRETCH,
     TIMES,
     TURN,
-    Correction,
     Program,
     jaw_path,
+    motion,
 )
 from planners.whatif import Flaps
 from retract_env.mesh import jaw_range
@@ -94,7 +95,7 @@ class Search:
         self.own = Flaps(scene)
         exact = scene.uncertainty == Uncertainty.none()
         self.sample = None if exact else Flaps(scene, draws(SAMPLES, SEED))
-        self.correction = Correction()
+        self.correction = Correction.none(len(TIMES))
         self.reserve = UNJUDGED
         self.evaluations = 0
 
@@ -184,38 +185,11 @@ class Search:
         """Correct the rod by what the judge felt along a plan."""
         if verdict.history is None:
             return
-        program = Program(self.scene, self.own, self.reserve, CLEAR, Correction())
-        rod = program.standing(unknowns[None])[0]
-        at = (np.asarray(verdict.history["progress"]) - 1) / paths.INCREMENTS
-        moved = at >= -1e-9
-        if moved.sum() < 2:
-            return
-        at = at[moved]
-        ends = np.concatenate([[0.0], (TIMES[1:] + TIMES[:-1]) / 2, [TIMES[-1]]])
-        known = at[-1] + 1e-9 >= TIMES
         length = self.scene.tissue.length
-
-        def greatest(values: Array) -> Array:
-            """Around each pose that was reached."""
-            out = np.empty(len(TIMES))
-            for i in range(len(TIMES)):
-                low, high = min(ends[i], at[-1]), min(ends[i + 1], at[-1])
-                inside = values[(at >= low) & (at <= high)]
-                out[i] = max([*inside, *np.interp([low, high], at, values)])
-            return out
-
-        strain = np.asarray(verdict.history["strain"])[moved]
-        friction = np.minimum(np.asarray(verdict.history["friction"])[moved].max(-1), 5.0)
-        clearance = np.interp(TIMES, at, np.asarray(verdict.history["clearance"])[moved])
-        correction = Correction(
-            greatest(strain) / rod.strain[0],
-            greatest(friction) - greatest(np.interp(at, TIMES, rod.friction[0])),
-            clearance - rod.clearance[0] * length,
-        )
-        last = int(np.flatnonzero(known)[-1])
-        for values in (correction.strain, correction.friction, correction.clearance):
-            values[last + 1 :] = values[last]
-        self.correction, self.reserve = correction, RESERVE
+        rod = self.own.follow(unknowns[None, PLACE] * length, motion(self.scene, unknowns[None]))
+        found = correction(1 + paths.INCREMENTS * TIMES, rod.felt[0], verdict.history)
+        if found is not None and not rod.lost[0]:
+            self.correction, self.reserve = found, RESERVE
 
 
 class Swift(Contestant):

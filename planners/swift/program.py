@@ -10,13 +10,14 @@ region, and it is taken back unless the rod agrees (Fletcher's method for compos
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planners import paths
+from planners.correction import Correction, needed_friction
 from planners.whatif import Flaps
 from retract_env.grasp import Grasp, JawPath
 from retract_env.mesh import jaw_range
@@ -105,17 +106,6 @@ def jaw_path(scene: Scene, unknowns: Array, kind: str) -> tuple[Grasp, JawPath]:
     return Grasp(x, height - poses[0, 3]), JawPath.from_poses(np.concatenate([rest, poses]), kind)
 
 
-@dataclass
-class Correction:
-    """What finite elements had more than the rod, along the poses; and what both may still be off."""
-
-    strain: Array = field(default_factory=lambda: np.ones(len(TIMES)))
-    """factor"""
-    friction: Array = field(default_factory=lambda: np.zeros(len(TIMES)))
-    clearance: Array = field(default_factory=lambda: np.zeros(len(TIMES)))
-    """m"""
-
-
 @dataclass(frozen=True)
 class Standing:
     """What the poses of a path amount to on each of k flaps."""
@@ -171,8 +161,7 @@ class Program:
         felt = done.felt.reshape(k, m, len(TIMES), -1)
         strain = felt[..., STRAIN] * self.correction.strain
         normal, drag = felt[..., NORMAL], felt[..., DRAG]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            friction = np.where(normal > 0, drag / normal, np.inf).max(-1) + self.correction.friction
+        friction = needed_friction(felt) + self.correction.friction
         holds = (self.reserve * flaps.friction)[:, None, None, None]
         slip = (drag + (self.correction.friction[:, None] - holds) * normal) / (holds * self.force)
         clearance = (felt[..., CLEAR] + self.correction.clearance) / length
