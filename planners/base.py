@@ -49,7 +49,7 @@ class Candidate:
         return {
             "grasp": {
                 "x": self.grasp.x,
-                "compression": self.grasp.compression,
+                **self.grasp.firmness,
                 "score": number(self.grasp.score),
             },
             "path": self.path.kind,
@@ -136,7 +136,7 @@ class Plan:
         return {
             "scene": self.scene.dump(),
             "planner": self.planner,
-            "grasp": {"x": self.grasp.x, "compression": self.grasp.compression},
+            "grasp": {"x": self.grasp.x, **self.grasp.firmness},
             "path": self.path.to_json(),
             "resolution": self.certificate.mesh["resolution"],
             "candidates": [c.to_json() for c in self.candidates],
@@ -160,16 +160,23 @@ def plan_from_json(data: Mapping[str, Any]) -> tuple[Scene, Grasp, JawPath]:
     candidates = data.get("candidates", [])
     if not isinstance(candidates, list) or not all(isinstance(c, Mapping) for c in candidates):
         raise ValueError(f"plan.candidates = {brief(candidates)}, allowed a list of objects")
-    grasp = data["grasp"]
-    numbers = (int, float)
-    if not isinstance(grasp, Mapping) or not all(
-        isinstance(grasp.get(k), numbers) and not isinstance(grasp.get(k), bool) for k in ("x", "compression")
+    grasp, path = _grasp(data["grasp"]), JawPath.from_json(data["path"])
+    return Scene.from_data(data["scene"]), grasp, path
+
+
+def _grasp(data: object) -> Grasp:
+    """The inverse of x and `Grasp.firmness`. Raises ValueError, one line."""
+    firmness = "force" if isinstance(data, Mapping) and "force" in data else "compression"
+    names, numbers = ("x", firmness), (int, float)
+    if not isinstance(data, Mapping) or not all(
+        isinstance(data.get(k), numbers) and not isinstance(data.get(k), bool) for k in names
     ):
-        raise ValueError("plan.grasp: allowed is an object with the numbers x and compression")
-    if faults := unknown_keys(grasp, ("x", "compression")):
+        raise ValueError(
+            "plan.grasp: allowed is an object with the numbers x and compression, or x and force"
+        )
+    if faults := unknown_keys(data, names):
         raise ValueError("plan.grasp" + faults[0])
-    path = JawPath.from_json(data["path"])
-    return Scene.from_data(data["scene"]), Grasp(float(grasp["x"]), float(grasp["compression"])), path
+    return Grasp(**{name: float(data[name]) for name in names})
 
 
 class NoPlan(Exception):

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from retract_env.grasp import Grasp, JawPath
 from retract_env.scene import Scene
+from retract_env.spring import expected_compression
 
 Array = NDArray[np.float64]
 
@@ -164,7 +165,7 @@ def _path(scene: Scene, grasp: Grasp, motion: Array, kind: str) -> JawPath:
     poses[:2, :3] = grasp.x, height / 2, 0.0
     poses[2:, :3] = motion
     poses[0, 3] = height
-    poses[1:, 3] = height - grasp.compression
+    poses[1:, 3] = height - expected_compression(scene, grasp)
     return JawPath.from_poses(poses, kind)
 
 

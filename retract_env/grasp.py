@@ -37,21 +37,27 @@ def to_jaws(pose: ArrayLike) -> Array:
 
 @dataclass(frozen=True)
 class Grasp:
-    """Where the jaws close on the flap and by how much. Sec. IV-B, IV-C.
+    """Where the jaws grasp the flap, and how firmly: by how much they close, or by the force with which they
+    press from then on, whatever distance that takes. Sec. IV-B, IV-C; the force is not in the paper.
 
     Raises ValueError where a value cannot belong to any flap; `check_inside` compares with a given one.
     """
 
     x: float
     """m, along the flap at rest; negative, the fixed end is at 0."""
-    compression: float
-    """m, delta: by how much the jaws close, both together."""
+    compression: float = math.nan
+    """m, delta: by how much the jaws close, both together; nan where they close by force."""
     score: float = field(default=math.nan, compare=False)
     """J/m^2, stability U_n; nan when it does not come from the spring model."""
+    force: float | None = None
+    """N, with which the jaws press: the mean of both jaws' normal reactions, which differ by what they lift.
+    None where they close by a compression."""
 
     def __post_init__(self) -> None:
-        for name, unit in (("x", "m"), ("compression", "m"), ("score", "J/m^2")):
+        for name, unit in (("x", "m"), ("compression", "m"), ("score", "J/m^2"), ("force", "N")):
             value = getattr(self, name)
+            if value is None and name in ("compression", "force"):
+                continue
             try:
                 # a NumPy scalar would not go into JSON
                 object.__setattr__(self, name, float(value))
@@ -59,23 +65,46 @@ class Grasp:
                 raise ValueError(f"grasp.{name} = {value!r}, allowed a number, {unit}") from None
         if not (math.isfinite(self.x) and self.x < 0):
             raise ValueError(f"grasp.x = {self.x:g} m, allowed below 0 m")
-        if not (math.isfinite(self.compression) and self.compression > 0):
+        closes = self.compression is not None and not math.isnan(self.compression)
+        if self.force is not None:
+            if closes:
+                raise ValueError(
+                    f"grasp.force = {self.force:g} N and grasp.compression = {self.compression:g} m, "
+                    "allowed one of them"
+                )
+            if not (math.isfinite(self.force) and self.force > 0):
+                raise ValueError(f"grasp.force = {self.force:g} N, allowed above 0 N")
+            # always the same object, or grips by the same force would not be equal
+            object.__setattr__(self, "compression", math.nan)
+        elif not closes:
+            raise ValueError("grasp.compression = nan m, allowed above 0 m, or else grasp.force, above 0 N")
+        elif not (math.isfinite(self.compression) and self.compression > 0):
             raise ValueError(f"grasp.compression = {self.compression:g} m, allowed above 0 m")
+
+    @property
+    def firmness(self) -> dict[str, float]:
+        """What goes into files beside x: {"compression": m} or {"force": N}."""
+        return {"compression": self.compression} if self.force is None else {"force": self.force}
 
     def check_inside(self, length: float, height: float) -> None:
         """Raise ValueError unless the grasp is on a flap of this length and height, m, the jaws apart."""
         # a grasp computed as -length may miss it by a rounding error
         if not -length * (1 + 1e-12) <= self.x < 0:
             raise ValueError(f"grasp.x = {self.x:g} m, allowed [{-length:g}, 0) m")
-        if not 0 < self.compression < height:
+        if self.force is None and not 0 < self.compression < height:
             raise ValueError(f"grasp.compression = {self.compression:g} m, allowed (0, {height:g}) m")
+
+    def __reduce__(self) -> tuple[type[Grasp], tuple[float, float, float, float | None]]:
+        # through the constructor: a copied nan equals no other
+        return Grasp, (self.x, self.compression, self.score, self.force)
 
 
 @dataclass(frozen=True, eq=False)
 class JawPath:
     """Waypoints of the two jaws: row 0 at rest separation, row 1 squeezed, then the motion.
 
-    Between waypoints the pose is interpolated linearly, so that the jaws turn rather than close.
+    Between waypoints the pose is interpolated linearly, so that the jaws turn rather than close. Jaws that
+    hold by force follow midpoints and angles alone; separations are then what one expects.
     Progress along the path counts waypoints: 0 at rest, 1 squeezed, `last` at the end.
     Raises ValueError, one line, for a wrong shape, a value that is not finite, or jaws that meet.
     """

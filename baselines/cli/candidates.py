@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from planners.base import Candidate
     from retract_env.grasp import Grasp
 
-MM = 1e3
+MM = MN = 1e3
 PLAIN_WIDTH = 100
 """columns of the table where no terminal sets them"""
 
@@ -101,7 +101,7 @@ class CandidateTable:
         return (
             str(c.index + 1),
             f"{c.grasp.x * MM:.2f}",
-            f"{c.grasp.compression * MM:.2f}",
+            f"{c.grasp.compression * MM:.2f}" if c.grasp.force is None else f"{c.grasp.force * MN:.1f} mN",
             _number(c.grasp.score, ".3g"),
             _number(c.max_strain, ".3f"),
             _number(c.required_friction, ".2f"),
@@ -118,13 +118,9 @@ class CandidateTable:
         return "" if c.status in ("squeezing", "moving") else "bright_black"
 
     def _is_chosen(self, c: Candidate) -> bool:
-        # By value, and not the score, which may be nan.
+        # By value, of which the score is no part.
         grasp = self._chosen
-        return grasp is not None and (c.grasp.x, c.grasp.compression, c.reason) == (
-            grasp.x,
-            grasp.compression,
-            "ok",
-        )
+        return grasp is not None and c.grasp == grasp and c.reason == "ok"
 
     def _line(self, c: Candidate) -> str:
         measured = [

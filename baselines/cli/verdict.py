@@ -15,7 +15,7 @@ from baselines.cli.console import NotCertified
 if TYPE_CHECKING:
     from planners.certify import Certificate
 
-MM = 1e3
+MM = MN = 1e3
 
 Resolution = Literal["fine", "medium", "coarse"]
 ResolutionOption = Annotated[
@@ -40,7 +40,9 @@ def describe(certificate: Certificate) -> str:
     }.get(c.reason, f"not certified: {c.reason}")
     facts = (
         f"grasp {c.grasp['x'] * MM:.2f} mm",
-        f"compression {c.grasp['compression'] * MM:.2f} mm",
+        f"force {c.grasp['force'] * MN:.1f} mN"
+        if "force" in c.grasp
+        else f"compression {c.grasp['compression'] * MM:.2f} mm",
         f"strain {c.max_strain:.3f} of {c.strain_limit:g}",
         f"friction {c.required_friction:.2f} of {c.friction_limit:g}",
         f"clearance {c.clearance * MM:.2f} mm",

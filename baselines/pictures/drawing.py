@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-MM = 1e3
+MM = MN = 1e3
 """mm in a metre"""
 KPA_PER_MM = 1e-6
 """kPa/mm in a Pa/m"""

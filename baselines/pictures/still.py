@@ -23,6 +23,7 @@ from baselines.pictures.drawing import (
     HATCHED,
     KPA_PER_MM,
     MM,
+    MN,
     STYLE,
     FlapArtist,
     JawArtist,
@@ -133,7 +134,10 @@ def heading(plan: Plan) -> str:
 
 def _draw_title(figure: Figure, plan: Plan, height: float) -> None:
     left, grasp = LEFT / WIDTH, plan.grasp
-    where = f"Grasp {-grasp.x * MM:.1f} mm from the fixed end, jaws closed by {grasp.compression * MM:.2f} mm"
+    held = f"closed by {grasp.compression * MM:.2f} mm"
+    if grasp.force is not None:
+        held = f"pressing with {grasp.force * MN:.1f} mN"
+    where = f"Grasp {-grasp.x * MM:.1f} mm from the fixed end, jaws {held}"
     colour = SIGHT if plan.certificate.certified else LIMIT
     figure.text(left, 1 - 0.38 / height, heading(plan), fontsize=16, weight="bold")
     figure.text(left, 1 - 0.63 / height, where, fontsize=10.5, color=GREY)

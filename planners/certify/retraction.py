@@ -67,8 +67,9 @@ class Retraction:
         grasp.check_inside(scene.tissue.length, scene.tissue.height)
         patch_ends(scene, grasp.x)
         # Squeezed in place too: the closing jaws are not judged, so no motion may hide there.
-        height, half = scene.tissue.height, grasp.compression / 2
-        for row, gap, state in ((0, 0.0, "at rest"), (1, half, "squeezed")):
+        height = scene.tissue.height
+        closed = grasp.compression if grasp.force is None else height - float(path.poses[1, 3])
+        for row, gap, state in ((0, 0.0, "at rest"), (1, closed / 2, "squeezed")):
             start = np.array([grasp.x, gap, grasp.x, height - gap])
             if not np.allclose(path.waypoints[row], start, rtol=0, atol=1e-6 * scene.tissue.length):
                 found = path.waypoints[row].tolist()
@@ -105,7 +106,7 @@ class Retraction:
         The strain of the squeeze bounds that of the whole retraction from below. on_increment: called after
         each increment; what it raises ends the squeeze. Raises MeshError.
         """
-        self.physics = physics = FemPhysics(self.scene, self.grasp.x, self.resolution)
+        self.physics = physics = FemPhysics(self.scene, self.grasp.x, self.resolution, force=self.grasp.force)
         self.reason, self.max_strain, self.required_friction = None, 0.0, 0.0
         self.frames, self._shapes = [physics.state()], [physics.displacements]
         found: str | None = None

@@ -53,7 +53,7 @@ class Trial(Retraction):
                 "resolution": self.resolution,
             },
             scene_hash=self.scene.hash,
-            grasp={"x": self.grasp.x, "compression": self.grasp.compression},
+            grasp={"x": self.grasp.x, **self.grasp.firmness},
             path={"kind": self.path.kind, "end": frames[-1].progress},
             history=self.history(),
             peaks=self._peaks(),

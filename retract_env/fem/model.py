@@ -104,6 +104,18 @@ class FlapModel:
             u[self._patch_x[k]] = moved[:, 0] - rest[:, 0]
             u[self._patch_y[k]] = moved[:, 1] - rest[:, 1]
 
+    def jaws(self, u: Array) -> Array:
+        """(4,) m, where the jaws are that hold the patches of u; the inverse of `place_jaws`."""
+        assert self.jaw_x is not None, "a flap without jaws"
+        found = np.empty(4)
+        for k in range(2):
+            rest, x = self._patch_rest[k], self._patch_x[k]
+            ends = [int(rest[:, 0].argmin()), int(rest[:, 0].argmax())]
+            moved = rest[ends] + np.stack([u[x[ends]], u[self._patch_y[k][ends]]], axis=-1)
+            begin, long = rest[ends[0], 0], rest[ends[1], 0] - rest[ends[0], 0]
+            found[2 * k : 2 * k + 2] = moved[0] + (moved[1] - moved[0]) * ((self.jaw_x - begin) / long)
+        return found
+
     def residual(self, u: Array) -> tuple[float, Array]:
         """Potential energy [J] and its gradient (n,) [N], forces that hold prescribed nodes included."""
         energy, force = self.assembly.residual(u)

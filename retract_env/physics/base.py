@@ -52,6 +52,9 @@ class Physics(Protocol):
     """One flap and the two jaws that hold it; `registry.PhysicsKind.source` says how it is made.
 
     After `reset` the same moves lead to the same states, to the last bit: copies of an episode rely on it.
+
+    One that is made with a force has jaws that hold by it: each move ends with the separation at which the
+    mean of both jaws' normal reactions is that force, whatever separation its pose has.
     """
 
     @property
@@ -64,8 +67,9 @@ class Physics(Protocol):
     def move_to(self, pose: Array, progress: float | None = None) -> TissueState:
         """Move the jaws straight to a pose (4,) x, y, theta, separation.
 
-        progress: where this is on a path, in waypoints; None off any path. Raises Diverged; the state is then
-        still the last good one.
+        progress: where this is on a path, in waypoints; None off any path. Jaws that hold by a force press
+        with that part of it while they close, where it is below 1. Raises Diverged; the state is then still
+        the last good one.
         """
 
     def state(self) -> TissueState:

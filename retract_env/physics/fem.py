@@ -16,6 +16,7 @@ from scipy.sparse import csr_matrix, hstack, identity
 from retract_env.errors import Diverged
 from retract_env.fem.beam import BeamGuess
 from retract_env.fem.model import FlapModel
+from retract_env.fem.press import closing, equilibrate, pressing
 from retract_env.fem.solver import Equilibrium, Kept
 from retract_env.grasp import to_jaws, to_pose
 from retract_env.mesh import RESOLUTIONS, Resolution, patch_ends, section_mesh
@@ -49,6 +50,8 @@ class FemState:
     jaw_x: float
     """m"""
     resolution: Resolution
+    hold: float | None
+    """N, by which the jaws hold"""
     pose: Array
     """(4,) x, y, theta, separation"""
     displacements: Array
@@ -77,15 +80,16 @@ class FemPhysics:
         jaw_x: float,
         resolution: str | Resolution = "fine",
         stop_when: Callable[[TissueState], bool] | None = None,
+        force: float | None = None,
     ):
         """jaw_x: m, where the jaws grasp; stop_when: called with the state after each part of a move
-        that has to be cut; the move ends there if it returns True. Raises MeshError, and ValueError for an
-        unknown resolution."""
+        that has to be cut; the move ends there if it returns True; force: N, by which the jaws hold, None: by
+        their separation. Raises MeshError, and ValueError for an unknown resolution."""
         if isinstance(resolution, str):
             if resolution not in RESOLUTIONS:
                 raise ValueError(f"resolution = {resolution!r}, allowed {', '.join(RESOLUTIONS)}")
             resolution = RESOLUTIONS[resolution]
-        self.scene, self.resolution, self.jaw_x = scene, resolution, jaw_x
+        self.scene, self.resolution, self.jaw_x, self.force = scene, resolution, jaw_x, force
         self._scene_hash = scene.hash
         self.seconds: defaultdict[str, float] = defaultdict(float)
         start = time.perf_counter()
@@ -140,13 +144,15 @@ class FemPhysics:
         solved.
 
         progress: where this is on a smooth path; equilibria of one path predict the next one. Without it the
-        tangent does. Raises Diverged, also where it takes more than `MOST_ITERATIONS` or `MOST_WORK`.
+        tangent does. Jaws that hold by force find their separation; below 1, progress says which part of the
+        force. Raises Diverged, also where it takes more than `MOST_ITERATIONS` or `MOST_WORK`.
         """
-        pose = np.asarray(pose, float)
+        pose = self._with_separation(pose, self._pose[3])
         counts, size = self.equilibrium.counts, len(self.model.free)
         allowed = min(MOST_ITERATIONS, max(LEAST_ITERATIONS, MOST_WORK // max(size, 1)))
         last = counts["iterations"] + allowed
         start_pose, begin, target = self._pose, self._progress, progress
+        before, after = self._levels(progress)
         # With one equilibrium to look back on, the tangent predicts: small steps first, until two or more of
         # them predict better.
         corner = len(self._history) == 1 or (progress is None and bool(self._history))
@@ -159,7 +165,8 @@ class FemPhysics:
                 share = min(done + part, 1.0)
                 at = None if target is None else begin + share * (target - begin)
                 try:
-                    self._solve(start_pose + share * (pose - start_pose), at)
+                    level = None if after is None else before + share * (after - before)
+                    self._solve(start_pose + share * (pose - start_pose), at, level)
                 except Diverged:
                     part /= 2
                     self._history.clear()
@@ -172,7 +179,7 @@ class FemPhysics:
                     part *= 3
         finally:
             self.seconds["equilibrium"] += time.perf_counter() - start
-        self._pose = pose
+        self._pose = self._with_separation(pose, self._pose[3])
         return self.state()
 
     def between(
@@ -188,11 +195,11 @@ class FemPhysics:
         try:
             nearest = sorted(known, key=lambda k: abs(k[0] - progress))[:MEMORY]
             self._history = sorted(nearest, key=lambda k: k[0])
-            u = self._extrapolate(progress)
+            u, pose = self._extrapolate(progress), self._with_separation(pose, self._expected(progress))
             self.model.place_jaws(u, to_jaws(pose))
             try:
-                self._u, self._force = self.equilibrium.solve(u)
-                self._pose, self._progress = pose, progress
+                self._u, self._force, self._pose = equilibrate(self.equilibrium, u, pose, self.force)
+                self._progress = progress
             except Diverged:
                 self.resume(start, *max((k for k in known if k[0] < progress), key=lambda k: k[0]))
                 self.move_to(pose, progress)
@@ -203,7 +210,7 @@ class FemPhysics:
     def resume(self, pose: Array, progress: float, u: Array) -> None:
         """Go back to an equilibrium, at a pose (4,), whose displacements u (n,) m are known."""
         self._u, self._force = u, self.model.residual(u)[1]
-        self._pose, self._progress = pose, progress
+        self._pose, self._progress = self._with_separation(pose, self._separation(u)), progress
         self._history = [(progress, u)]
         self.equilibrium.forget()
 
@@ -211,8 +218,8 @@ class FemPhysics:
         """Where the flap stands and all that its next moves depend on; costs nothing, and changes nothing."""
         # no array in it is written to once it is there, here or in the solver
         return FemState(
-            self._scene_hash, self.jaw_x, self.resolution, self._pose, self._u, self._force, self._progress,
-            tuple(self._history), self.equilibrium.kept,
+            self._scene_hash, self.jaw_x, self.resolution, self.force, self._pose, self._u, self._force,
+            self._progress, tuple(self._history), self.equilibrium.kept,
         )  # fmt: skip
 
     def set_state(self, state: object) -> None:
@@ -227,6 +234,7 @@ class FemPhysics:
             ("scene", state.scene, self._scene_hash),
             ("grasp", state.jaw_x, self.jaw_x),
             ("resolution", state.resolution, self.resolution),
+            ("force", state.hold, self.force),
         ):
             if theirs != ours:
                 raise ValueError(f"the state is that of another {name}: {theirs}, here {ours}")
@@ -241,10 +249,11 @@ class FemPhysics:
         """Say that the path has a corner here: what came before does not predict what follows."""
         self._history = self._history[-1:]
 
-    def _solve(self, pose: Array, progress: float | None) -> None:
+    def _solve(self, pose: Array, progress: float | None, level: float | None) -> None:
+        if level is not None:
+            pose = self._with_separation(pose, self._predicted(progress, level))
         u = self._guess(pose, progress)
-        self._u, self._force = self.equilibrium.solve(u)
-        self._pose = pose
+        self._u, self._force, self._pose = equilibrate(self.equilibrium, u, pose, level)
         if progress is None:
             self._history.clear()
             # without a history the next guess comes with a factorisation of its own; states stay small
@@ -279,12 +288,54 @@ class FemPhysics:
 
     def _extrapolate(self, progress: float) -> Array:
         """Lagrange's polynomial through the last equilibria."""
-        at = np.array([p for p, _ in self._history])
         u = np.zeros_like(self._u)
-        for i, (p, known) in enumerate(self._history):
-            others = np.delete(at, i)
-            u += known * float(np.prod((progress - others) / (p - others)))
+        for weight, (_, known) in zip(self._weights(progress), self._history, strict=True):
+            u += known * weight
         return u
+
+    def _weights(self, progress: float) -> list[float]:
+        """Of the last equilibria, in Lagrange's polynomial."""
+        at = np.array([p for p, _ in self._history])
+        others = [np.delete(at, i) for i in range(len(at))]
+        return [
+            float(np.prod((progress - rest) / (p - rest)))
+            for p, rest in zip(at.tolist(), others, strict=True)
+        ]
+
+    # --- Jaws that hold by force
+
+    def _with_separation(self, pose: Array, separation: float) -> Array:
+        """The pose as it is, or, where the jaws hold by force, with this separation."""
+        pose = np.asarray(pose, float)
+        return pose if self.force is None else np.append(pose[:3], separation)
+
+    def _separation(self, u: Array) -> float:
+        """m, of the jaws in a shape u (n,) m."""
+        return float(to_pose(self.model.jaws(u))[3])
+
+    def _levels(self, progress: float | None) -> tuple[float, float | None]:
+        """N: with what the jaws press now, and with what after a move to that progress; None where they do
+        not hold by force."""
+        if self.force is None:
+            return 0.0, None
+        part = 1.0 if progress is None else min(progress, 1.0)
+        return max(pressing(self.model, self._force, self._pose), 0.0), part * self.force
+
+    def _expected(self, progress: float) -> float:
+        """m, the separation that the last equilibria lead to, of jaws that hold by force."""
+        if self.force is None:
+            return 0.0
+        known = (self._separation(u) for _, u in self._history)
+        return sum(w * s for w, s in zip(self._weights(progress), known, strict=True))
+
+    def _predicted(self, progress: float | None, level: float) -> float:
+        """m, the separation at which the jaws will press with this level, N, or nearly so."""
+        if progress is not None and len(self._history) > 1:
+            return self._expected(progress)
+        more = level - pressing(self.model, self._force, self._pose)
+        if abs(more) < 0.01 * level:
+            return float(self._pose[3])
+        return float(self._pose[3]) + more / closing(self.equilibrium, self._u, self._pose)[0]
 
     @property
     def displacements(self) -> Array:

@@ -27,20 +27,24 @@ class PhysicsPool:
         self.kind = physics_kind(name)
         self.resolution, self.size = resolution or self.kind.resolution, size
         self.kind.check(self.resolution)
-        self._kept: OrderedDict[tuple[str, float, bool], Physics] = OrderedDict()
+        self._kept: OrderedDict[tuple[str, float, bool, float | None], Physics] = OrderedDict()
 
     def take(
-        self, scene: Scene, jaw_x: float, stop_when: Callable[[TissueState], bool] | None = None
+        self,
+        scene: Scene,
+        jaw_x: float,
+        stop_when: Callable[[TissueState], bool] | None = None,
+        force: float | None = None,
     ) -> Physics:
         """The physics, to be reset before use; it is closed after `size` others were taken.
 
-        stop_when: as `PhysicsKind.make` has it; it must depend on nothing but the scene.
+        stop_when, force: as `PhysicsKind.make` has them; the first must depend on nothing but the scene.
         """
-        key = scene.hash, jaw_x, stop_when is None
+        key = scene.hash, jaw_x, stop_when is None, force
         if key in self._kept:
             self._kept.move_to_end(key)
             return self._kept[key]
-        physics = self.kind.make(scene, jaw_x, self.resolution, stop_when)
+        physics = self.kind.make(scene, jaw_x, self.resolution, stop_when, force)
         self._kept[key] = physics
         while len(self._kept) > self.size:
             self._kept.popitem(last=False)[1].close()

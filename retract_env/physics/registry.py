@@ -32,7 +32,7 @@ class PhysicsKind:
     """Gymnasium's id of the environment that runs on it"""
     source: str | Callable[..., Physics]
     """The class, or "module:Class", which is imported when it is first needed. It is made with (scene, jaw_x,
-    resolution, stop_when=None), and its attribute `resolutions` lists the names that it takes."""
+    resolution, stop_when=None, force=None), and its attribute `resolutions` lists the names that it takes."""
     resolution: str
     """what it is made with unless told otherwise"""
     about: str
@@ -79,13 +79,16 @@ class PhysicsKind:
         jaw_x: float,
         resolution: str,
         stop_when: Callable[[TissueState], bool] | None = None,
+        force: float | None = None,
     ) -> Physics:
         """One flap between jaws at jaw_x, m. Raises as its constructor.
 
         stop_when: where a move cannot be made whole, it ends at the first state on its way that this is true
-        of.
+        of. force: N, that the jaws hold by, whatever separation they are told; None: by the separation.
         """
-        physics: Physics = self.load()(scene, jaw_x, resolution, stop_when=stop_when)
+        # one of another package may know no force, which is its own to say
+        held = {} if force is None else {"force": force}
+        physics: Physics = self.load()(scene, jaw_x, resolution, stop_when=stop_when, **held)
         return physics
 
 

@@ -59,6 +59,8 @@ class RodState:
 
     scene_hash: str
     jaw_x: float
+    force: float | None
+    pressing: float
     lane: dict[str, Array]
     progress: float
     state: TissueState
@@ -75,12 +77,14 @@ class RodPhysics:
         jaw_x: float,
         resolution: str = "rod",
         stop_when: Callable[[TissueState], bool] | None = None,  # noqa: ARG002
+        force: float | None = None,
     ):
-        """jaw_x: m, where the jaws grasp. Raises ValueError for a place off the flap or a resolution."""
+        """jaw_x: m, where the jaws grasp; force: N, by which they hold, None: by their separation. Raises
+        ValueError for a place off the flap or a resolution."""
         if resolution not in self.resolutions:
             raise ValueError(f"resolution = {resolution!r}, allowed {', '.join(self.resolutions)}")
         patch_ends(scene, jaw_x)
-        self.scene, self.jaw_x = scene, jaw_x
+        self.scene, self.jaw_x, self.force = scene, jaw_x, force
         self._veins = veins_of(scene.tissue)
         announce(rods.advance_blocks, "the rod's kernels", COMPILES)
         self._laws, self._held = laws()
@@ -89,12 +93,12 @@ class RodPhysics:
         self._block.flap[0], self._block.sight[0] = flap_numbers(scene), sight_numbers(scene)
         self._columns = columns_of(scene.tissue.length, scene.tissue.height, jaw_x)
         self.section = _section(scene, self._columns)
-        self._progress = 0.0
+        self._progress = self._pressing = 0.0
         self._state: TissueState | None = None
 
     def _lie(self) -> TissueState:
         """The state at rest; the flap itself is left flat, from where its jaws close."""
-        self._progress = 0.0
+        self._progress = self._pressing = 0.0
         rods.hold(self._block, 0, self.jaw_x, 0.0, *self._veins, self._laws, self._held)
         flat = rods.state_of(self._block, 0)
         self._go(self.jaw_x, self.scene.tissue.height / 2, 0.0)
@@ -114,21 +118,31 @@ class RodPhysics:
         """
         if self._state is None:
             self.reset()
-        block, height = self._block, self.scene.tissue.height
         x, y, theta, separation = np.asarray(pose, float).tolist()
-        before = block.grip[0, grip.COMPRESSION]
-        compression = (height - separation) / height
-        if compression != before:
-            rods.close(block, 0, self.jaw_x, compression, *self._veins, self._held)
+        before = rods.state_of(self._block, 0), self._pressing
+        self._close(separation, progress)
         try:
             self._go(x, y, theta)
         except Diverged:
-            if compression != before:
-                rods.close(block, 0, self.jaw_x, before, *self._veins, self._held)
+            rods.set_state(self._block, 0, before[0])
+            self._pressing = before[1]
             raise
         self._progress = self._progress if progress is None else progress
         self._state = state = self._measured()
         return state
+
+    def _close(self, separation: float, progress: float | None) -> None:
+        """Have the jaws close as far, or press as hard, as a move says."""
+        block, held = self._block, (*self._veins, self._held)
+        if self.force is None:
+            compression = (self.scene.tissue.height - separation) / self.scene.tissue.height
+            if compression != block.grip[0, grip.COMPRESSION]:
+                rods.close(block, 0, self.jaw_x, compression, *held)
+            return
+        pressing = self.force * (1.0 if progress is None else min(progress, 1.0))
+        if pressing != self._pressing:
+            rods.press(block, 0, self.jaw_x, pressing, *held)
+        self._pressing = pressing
 
     def _go(self, x: float, y: float, theta: float) -> None:
         rods.aim.py_func(self._block, 0, x, y, theta)  # to hand over all arrays takes longer than to do it
@@ -146,16 +160,19 @@ class RodPhysics:
     def get_state(self) -> RodState:
         """Where the flap stands, to be returned to any number of times."""
         state = self.state()
-        return RodState(self.scene.hash, self.jaw_x, rods.state_of(self._block, 0), self._progress, state)
+        return RodState(
+            self.scene.hash, self.jaw_x, self.force, self._pressing, rods.state_of(self._block, 0),
+            self._progress, state,
+        )  # fmt: skip
 
     def set_state(self, state: object) -> None:
         """Go on from there. Raises TypeError for no state, ValueError for that of another flap or grasp."""
         if not isinstance(state, RodState):
             raise TypeError(f"state is a {type(state).__name__}, allowed a RodState")
-        if (state.scene_hash, state.jaw_x) != (self.scene.hash, self.jaw_x):
+        if (state.scene_hash, state.jaw_x, state.force) != (self.scene.hash, self.jaw_x, self.force):
             raise ValueError("state: of another flap or grasp")
         rods.set_state(self._block, 0, state.lane)
-        self._progress, self._state = state.progress, state.state
+        self._progress, self._pressing, self._state = state.progress, state.pressing, state.state
 
     def _measured(self) -> TissueState:
         out = self._block.measured[0].copy()

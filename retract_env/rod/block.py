@@ -2,7 +2,9 @@
 
 A block is a tuple of arrays, so that compiled code takes it as it is. `hold` puts a flap into a lane, `close`
 and `aim` say what its jaws do next, `advance` moves the jaws of all lanes and measures what has become of the
-flaps.
+flaps. Jaws may hold by force instead: after `hold_by_force`, or `press` in place of `close`, every `advance`
+finds the compression at which they press so (`block.grip[lane, COMPRESSION]`); where there is none, the lane
+is not done.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ from numpy.typing import NDArray
 
 from retract_env.rod.chain import LANES, SCRATCH
 from retract_env.rod.flap import (
+    DEPTH,
     FACTORS,
     FREE,
     FREE_PARAMETERS,
@@ -26,13 +29,13 @@ from retract_env.rod.flap import (
     INNER_PARAMETERS,
     INNER_UNKNOWNS,
     JAW_WIDTH,
+    MODULUS,
     NUMBERS,
-    POISSON,
     build,
     lay_flat,
     move,
 )
-from retract_env.rod.grip import COMPRESSION, GRIP, NORMAL, PUSH, PUSHED, ROOT, STIFF, grip
+from retract_env.rod.grip import COMPRESSION, FORCE, GRIP, MADE_FOR, PUSH, grip, pushed_out, root_of
 from retract_env.rod.measures import (
     CLEARANCE,
     COLUMNS,
@@ -45,6 +48,7 @@ from retract_env.rod.measures import (
     worst_strain,
 )
 from retract_env.rod.outline import outlines
+from retract_env.rod.press import CLOSE_ENOUGH, PASSES, find_compression, first_compression, remade
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -134,11 +138,22 @@ def new_block() -> Block:
 def close(block, lane, x, compression, vertices, offsets, moduli, held):
     """Have the jaws of a lane, which grasp at x, m, closed by a compression, over the height, from the next
     move on. held: of `grip.load`."""
-    block.grip[lane, COMPRESSION] = compression
     kept = block.grip[lane]
-    kept[PUSH] = held[PUSHED] * block.flap[lane, POISSON] / 2 * compression * math.exp(kept[NORMAL])
-    root = max(held[ROOT] * compression - held[STIFF], 0.0)
+    kept[COMPRESSION] = kept[MADE_FOR] = compression
+    kept[FORCE] = 0.0
+    kept[PUSH] = pushed_out(block.flap[lane], kept, compression, held)
+    root = root_of(compression, held)
     build(block.flap[lane], vertices, offsets, moduli, x, root, block.free, block.inner, lane)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def press(block, lane, x, force, vertices, offsets, moduli, held):
+    """Have the jaws of a lane, which grasp at x, m, press with a force, N, from the next move on."""
+    flap = block.flap[lane]
+    force = force / (flap[MODULUS] * flap[HEIGHT] * flap[DEPTH])
+    c = first_compression(block.grip[lane], held, force)
+    close(block, lane, x, c, vertices, offsets, moduli, held)
+    block.grip[lane, FORCE] = force
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -148,9 +163,22 @@ def hold(block, lane, x, compression, vertices, offsets, moduli, laws, held):
 
     vertices, offsets, moduli: of its veins, see `retract_env.spring.columns`; laws, held: of `grip.load`.
     """
-    flap, kept = block.flap[lane], block.grip[lane]
-    grip(flap, vertices, offsets, moduli, x, laws, kept)
+    grip(block.flap[lane], vertices, offsets, moduli, x, laws, block.grip[lane])
     close(block, lane, x, compression, vertices, offsets, moduli, held)
+    _lie(block, lane, x)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def hold_by_force(block, lane, x, force, vertices, offsets, moduli, laws, held):
+    """`hold` between jaws that press with a force, N, from the next move on."""
+    grip(block.flap[lane], vertices, offsets, moduli, x, laws, block.grip[lane])
+    press(block, lane, x, force, vertices, offsets, moduli, held)
+    _lie(block, lane, x)
+
+
+@njit(error_model="numpy")
+def _lie(block, lane, x):
+    flap = block.flap[lane]
     lay_flat(block.free, block.free_u, FREE, x / flap[HEIGHT], lane)
     lay_flat(block.inner, block.inner_u, INNER, 0.0, lane)
     block.here[lane], block.here[LANES + lane] = x / flap[HEIGHT], 0.5
@@ -167,25 +195,87 @@ def aim(block, lane, x, y, theta):
     block.todo[lane] = True
 
 
+@njit(error_model="numpy")
+def _remembered(block, forced):
+    """What a lane whose force cannot be met goes back to; nothing where none holds by force."""
+    if not forced:
+        none = np.empty(0)
+        return none, none, none, none, none, np.empty((0, 0))
+    return (
+        block.free.copy(),
+        block.inner.copy(),
+        block.free_u.copy(),
+        block.inner_u.copy(),
+        block.here.copy(),
+        block.grip.copy(),
+    )
+
+
+@njit(error_model="numpy")
+def _again(block, held, before, reached, last):
+    """After a move, let lanes that hold by force find their compression; whether some have to move again, to
+    what follows from it. Those are then in `todo`, all others that got there in `reached`, and in `done` once
+    none is left, or this was the last time."""
+    waiting = False
+    for lane in range(LANES):
+        moved, block.todo[lane] = block.todo[lane], False
+        if not moved:
+            continue
+        kept = block.grip[lane]
+        if kept[FORCE] <= 0.0:
+            reached[lane] = block.done[lane]
+            continue
+        found = block.done[lane] and find_compression(block.here, block.loads, kept, held, lane)
+        if found and abs(kept[COMPRESSION] - kept[MADE_FOR]) <= CLOSE_ENOUGH:
+            reached[lane] = True
+        elif found and not last:
+            remade(block.flap[lane], kept, held, block.free, block.inner, lane)
+            block.goal[3 * LANES + lane] = kept[PUSH]
+            block.todo[lane] = waiting = True
+        else:
+            _take_back(block.free, before[0], lane)
+            _take_back(block.inner, before[1], lane)
+            _take_back(block.free_u, before[2], lane)
+            _take_back(block.inner_u, before[3], lane)
+            _take_back(block.here, before[4], lane)
+            kept[:] = before[5][lane]
+    if not waiting:
+        block.done[:] = reached
+    return waiting
+
+
+@njit(error_model="numpy")
+def _take_back(array, before, lane):
+    for r in range(lane, len(array), LANES):
+        array[r] = before[r]
+
+
 @njit(inline="always", error_model="numpy")
 def advance(block, held):
     """Move the jaws of all lanes in `todo` to where they are to go, and measure what has become of the flaps.
 
     `done` says which got there; the others, and lanes not in `todo`, stay as they are, measures too.
     """
-    move(
-        block.free,
-        block.inner,
-        block.free_u,
-        block.inner_u,
-        block.here,
-        block.goal,
-        block.todo,
-        block.scratch,
-        block.factors,
-        block.loads,
-        block.done,
-    )
+    forced = False
+    for lane in range(LANES):
+        forced = forced or (block.todo[lane] and block.grip[lane, FORCE] > 0.0)
+    before, reached = _remembered(block, forced), np.zeros(LANES, np.bool_)
+    for passes in range(PASSES):
+        move(
+            block.free,
+            block.inner,
+            block.free_u,
+            block.inner_u,
+            block.here,
+            block.goal,
+            block.todo,
+            block.scratch,
+            block.factors,
+            block.loads,
+            block.done,
+        )
+        if not forced or not _again(block, held, before, reached, passes + 1 == PASSES):
+            break
     for lane in range(LANES):
         block.rod_strain[lane] = block.grip[lane, COMPRESSION]
     surfaces(block.free_u, block.inner_u, block.rod_strain, block.points)

@@ -109,6 +109,26 @@ def _chain(flap, vertices, offsets, moduli, left, right, count, weight, bed, P, 
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def rerooted(before, after, free, inner, lane):
+    """Have the chains of a lane that were made for one root, heights, another: as `build` would, but for
+    rounding, and without a look at the flap."""
+    _reroot(before, after, free, FREE - 1, lane)
+    _reroot(before, after, inner, 0, lane)
+
+
+@njit(error_model="numpy")
+def _reroot(before, after, P, e, lane):
+    length, p = P[LENGTH * LANES + lane], (STIFFNESS + 4 * e) * LANES + lane
+    a, b, c = P[p], P[p + LANES], P[p + 2 * LANES]
+    per = 1.0 / (a * c - b * b)
+    # back to compliances, of which the root makes that in bending larger
+    stretch, couple, bend = c * per, -b * per, a * per
+    bend *= (1.0 + after / length) / (1.0 + before / length)
+    per = 1.0 / (stretch * bend - couple * couple)
+    P[p], P[p + LANES], P[p + 2 * LANES] = bend * per, -couple * per, stretch * per
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def lay_flat(P, U, count, right, lane):
     """The chain straight at rest, its right end at x = right heights."""
     length = P[LENGTH * LANES + lane]

@@ -45,10 +45,10 @@ SHAPE = 4
 that counts in full; decay of what the free and the fixed end do, heights."""
 
 # What is kept of a grip, as a row of numbers: log of the normal force over c E h d, and of eps_1% over c,
-# each as p + q c + r c^2; by how much tissue is pushed out to each side, heights; c;
-# 1 on a bed
-NORMAL, STRAIN, PUSH, COMPRESSION, ON_BED = 0, 3, 6, 7, 8
-GRIP = 9
+# each as p + q c + r c^2; by how much tissue is pushed out to each side, heights; c; 1 on a bed; E h d, the
+# force that the jaws hold by, 0 where they hold by c; the c that the chains are made for
+NORMAL, STRAIN, PUSH, COMPRESSION, ON_BED, FORCE, MADE_FOR = 0, 3, 6, 7, 8, 9, 10
+GRIP = 11
 
 
 def load() -> tuple[Array, Array]:
@@ -122,7 +122,7 @@ def grip(flap, vertices, offsets, moduli, x, laws, out):
                 c += term
         out[3 * law], out[3 * law + 1], out[3 * law + 2] = a, b, c
     out[NORMAL] += math.log(flap[JAW_WIDTH] / flap[HEIGHT])
-    out[PUSH] = 0.0
+    out[PUSH] = out[FORCE] = 0.0
     out[ON_BED] = flap[HAS_BED]
 
 
@@ -135,6 +135,18 @@ def squeeze(kept, c):
         c * math.exp(kept[NORMAL] + kept[NORMAL + 1] * c + kept[NORMAL + 2] * c * c),
         c * math.exp(kept[STRAIN] + kept[STRAIN + 1] * c + kept[STRAIN + 2] * c * c),
     )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def pushed_out(flap, kept, c, held):
+    """By how much tissue that is squeezed by c is pushed out to each side, heights."""
+    return held[PUSHED] * flap[POISSON] / 2 * c * math.exp(kept[NORMAL])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def root_of(c, held):
+    """Length of flap, heights, that bends as much as the tissue at the jaws gives that are closed by c."""
+    return max(held[ROOT] * c - held[STIFF], 0.0)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -169,6 +169,22 @@ def _extremes(P, U, count, ends, high):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def pressing(pose, loads, kept, held, lane):
+    """Mean normal force of both jaws of one lane, E h d; arguments as of `measure`."""
+    c, s = math.cos(pose[2 * LANES + lane]), math.sin(pose[2 * LANES + lane])
+    free_along = c * loads[lane] + s * loads[LANES + lane]
+    inner_along = c * loads[3 * LANES + lane] + s * loads[4 * LANES + lane]
+    mean = bearing(kept, held, loads[5 * LANES + lane], loads[2 * LANES + lane], inner_along - free_along)
+    return mean - RELIEVED * _below_bed(pose, kept, c, lane)
+
+
+@njit(error_model="numpy")
+def _below_bed(pose, kept, c, lane):
+    """How far the lower jaw is below the bed's surface, heights; c: cosine of the jaws' angle."""
+    return max(0.5 * (1.0 - kept[COMPRESSION]) * c - pose[LANES + lane], 0.0) * kept[ON_BED]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def measure(pose, loads, kept, held, rod_strain, lane, out):
     """What one lane's jaws feel, and its eps_1%, into out (MEASURED,).
 
@@ -183,10 +199,7 @@ def measure(pose, loads, kept, held, rod_strain, lane, out):
     free_along, inner_along = c * free_x + s * free_y, c * inner_x + s * inner_y
     free_across, inner_across = c * free_y - s * free_x, c * inner_y - s * inner_x
     pressed = squeeze(kept, compression)[1]
-    mean = bearing(kept, held, inner_m, free_m, inner_along - free_along)
-    # how far the lower jaw is below the bed's surface
-    low = max(0.5 * (1.0 - compression) * c - pose[LANES + lane], 0.0) * kept[ON_BED]
-    mean -= RELIEVED * low
+    mean, low = pressing(pose, loads, kept, held, lane), _below_bed(pose, kept, c, lane)
     lift, drag = free_across + inner_across, free_along + inner_along
     lift -= INTO_BED * low / (1.0 + YIELDS * low)
     moment = held[FREE_MOMENT] * free_m + inner_m + push * (inner_across - free_across)

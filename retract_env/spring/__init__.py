@@ -2,8 +2,9 @@
 
 from retract_env.compilation import forget_old
 from retract_env.spring.model import Basin, SpringModel, optimal_compression
+from retract_env.spring.press import expected_compression
 from retract_env.spring.stiffness import Stiffness
 
-__all__ = ["Basin", "SpringModel", "Stiffness", "optimal_compression"]
+__all__ = ["Basin", "SpringModel", "Stiffness", "expected_compression", "optimal_compression"]
 
 forget_old()

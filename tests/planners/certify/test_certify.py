@@ -148,11 +148,13 @@ def test_a_step_without_equilibrium_is_cut_and_then_reported(monkeypatch: pytest
     solve = FemPhysics._solve
     free = retraction(scene).history["strain"]  # which is kept: not what follows
 
-    def stuck(self: FemPhysics, pose: NDArray[np.float64], progress: float | None) -> None:
+    def stuck(
+        self: FemPhysics, pose: NDArray[np.float64], progress: float | None, level: float | None
+    ) -> None:
         tried.append(float(pose[1]))
         if pose[1] > barrier:
             raise Diverged("staged")
-        solve(self, pose, progress)
+        solve(self, pose, progress, level)
 
     monkeypatch.setattr(FemPhysics, "_solve", stuck)
     certificate = certify(scene, a_grasp(), ctc(scene, a_grasp()), "coarse")
