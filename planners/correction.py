@@ -1,4 +1,4 @@
-"""What finite elements felt along a path more than the rod: added to the rod, it says what others would feel.
+"""What finite elements felt along a path more than the rod; added to the rod, it says what others will feel.
 
 The difference between the two models changes little from one flap to another that is nearly the same, or
 from one path to another nearby; how little is measured (`planners.certify.robust`).

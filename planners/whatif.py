@@ -63,11 +63,13 @@ class Flaps:
             setattr(out, name, getattr(self, name)[np.asarray(rows)])
         return out
 
-    def follow(self, x: ArrayLike, poses: ArrayLike, goal: float = math.inf) -> Followed:
+    def follow(
+        self, x: ArrayLike, poses: ArrayLike, goal: float = math.inf, force: ArrayLike | None = None
+    ) -> Followed:
         """Follow m plans on each of the k flaps: row i * m + j is plan j on flap i.
 
         x: (m,) m, where they grasp; poses: (m, t, 4) x, y, theta and separation, m, as the plan has them;
-        goal: m, the clearance with which a retraction is over.
+        goal: m, the clearance with which a retraction is over; force: (m,) N, of grips by force.
         """
         x, poses = np.asarray(x, float), np.asarray(poses, float)
         k, (m, t, _) = len(self), poses.shape
@@ -80,6 +82,7 @@ class Flaps:
         all_poses[..., 1] += ((height - self.scene.tissue.height) / 2)[:, None, None]
         separation = poses[..., 3] - self.closing[:, None, None]
         all_poses[..., 3] = 1 - separation / height[:, None, None]
+        pressed = np.zeros((k, m)) if force is None else np.outer(self.force, np.asarray(force, float))
         return follow(
             Retractions(
                 np.repeat(self.flap, m, axis=0),
@@ -88,6 +91,7 @@ class Flaps:
                 np.repeat(self.factors, m, axis=0),
                 at.ravel(),
                 all_poses.reshape(k * m, t, 4),
+                pressed.ravel(),
                 np.full(k * m, goal),
             ),
             *laws(),

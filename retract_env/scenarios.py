@@ -106,7 +106,7 @@ def scenario(scene: Scene, grasp: Grasp, path: JawPath, z: ArrayLike) -> tuple[S
     The gripper yields across the flap, so that it closes about the middle of a thicker flap too. Jaws that
     would stand off the flap stand at its end.
     """
-    v = _One(*(float(a[0]) for a in values(scene, z, getattr(grasp, "force", None) or math.nan)))
+    v = _One(*(float(a[0]) for a in values(scene, z, grasp.force or math.nan)))
     tissue, limits, line = scene.tissue, scene.limits, scene.line_of_sight
     height = v.thickness * tissue.height
     veins = tuple(
@@ -149,7 +149,7 @@ def scenario(scene: Scene, grasp: Grasp, path: JawPath, z: ArrayLike) -> tuple[S
     poses[:, 0] += x - grasp.x
     poses[:, 1] += (height - tissue.height) / 2
     poses[0, 3] = height
-    if getattr(grasp, "force", None) is not None:
+    if grasp.force is not None:
         force = v.force * grasp.force
         return None if force <= 0 else (there, Grasp(x, force=force), JawPath.from_poses(poses, path.kind))
     poses[1:, 3] -= v.closing

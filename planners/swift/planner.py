@@ -30,10 +30,12 @@ from planners.swift.program import (
     TIMES,
     TURN,
     Program,
+    force_of,
     jaw_path,
     motion,
 )
 from planners.whatif import Flaps
+from retract_env.grasp import Grasp, JawPath
 from retract_env.mesh import jaw_range
 from retract_env.scenarios import draws
 from retract_env.scene import Scene, Uncertainty
@@ -90,8 +92,8 @@ TOLERATED = 5e-3
 class Search:
     """Plans on the rod that hold on the sample."""
 
-    def __init__(self, scene: Scene, on_step: Callable[[], None] = lambda: None):
-        self.scene, self.on_step = scene, on_step
+    def __init__(self, scene: Scene, by_force: bool = False, on_step: Callable[[], None] = lambda: None):
+        self.scene, self.by_force, self.on_step = scene, by_force, on_step
         self.own = Flaps(scene)
         exact = scene.uncertainty == Uncertainty.none()
         self.sample = None if exact else Flaps(scene, draws(SAMPLES, SEED))
@@ -124,7 +126,7 @@ class Search:
 
     def _program(self, flaps: Flaps, own: bool = True) -> Program:
         """own: whether the first of the flaps is the scene's own."""
-        return Program(self.scene, flaps, self.reserve, CLEAR, self.correction, own)
+        return Program(self.scene, flaps, self.reserve, CLEAR, self.correction, own, self.by_force)
 
     def improve(
         self, unknowns: Array, steps: int = STEPS, rounds: int = ROUNDS, radius: float = 2.0
@@ -171,6 +173,10 @@ class Search:
         program = self._program(flaps, own=False)
         return program.excess(program.standing(unknowns[None])[0])
 
+    def plan_of(self, found: Found) -> tuple[Grasp, JawPath]:
+        """Grasp and path."""
+        return jaw_path(self.scene, found.unknowns, KIND, self.by_force)
+
     def look(self, unknowns: Array) -> Found:
         """What a plan comes to."""
         program = self._program(self.own)
@@ -186,7 +192,9 @@ class Search:
         if verdict.history is None:
             return
         length = self.scene.tissue.length
-        rod = self.own.follow(unknowns[None, PLACE] * length, motion(self.scene, unknowns[None]))
+        force = force_of(self.scene, unknowns[None]) if self.by_force else None
+        poses = motion(self.scene, unknowns[None])
+        rod = self.own.follow(unknowns[None, PLACE] * length, poses, force=force)
         found = correction(1 + paths.INCREMENTS * TIMES, rod.felt[0], verdict.history)
         if found is not None and not rod.lost[0]:
             self.correction, self.reserve = found, RESERVE
@@ -196,7 +204,7 @@ class Swift(Contestant):
     """Hands in the best plan of a search, and again with what the judge felt."""
 
     def __init__(self, scene: Scene, search: Search, ranked: list[Found]):
-        super().__init__(*jaw_path(scene, ranked[0].unknowns, KIND))
+        super().__init__(*search.plan_of(ranked[0]))
         self.scene, self.search, self.ranked = scene, search, ranked
 
     def propose(self, on_increment: Callable[[], None]) -> Proposals:
@@ -204,7 +212,7 @@ class Swift(Contestant):
         self.search.on_step = on_increment
         for found in self.ranked:
             current = found
-            verdict = yield jaw_path(self.scene, current.unknowns, KIND)
+            verdict = yield self.search.plan_of(current)
             for _ in range(CORRECTIONS):
                 self.search.hear(current.unknowns, verdict)
                 better = self.search.improve(current.unknowns, radius=0.5)
@@ -213,7 +221,7 @@ class Swift(Contestant):
                 if holds and better.strain > (1 - SAME) * now.strain:
                     return None
                 current = better
-                verdict = yield jaw_path(self.scene, current.unknowns, KIND)
+                verdict = yield self.search.plan_of(current)
             if verdict.reason == "ok":
                 return None
         return None
@@ -225,10 +233,11 @@ def plan_swift(
     resolution: str,
     workers: int | None,
     on_update: OnUpdate | None,
+    grip: str = "position",
 ) -> Plan:
     """Search on the rod, then hand in the best until it is certified and fits. Raises NoPlan."""
     start = time.perf_counter()
-    search = Search(scene)
+    search = Search(scene, grip == "force")
     tried = sorted((search.improve(u, FIRST_STEPS, 2) for u in search.starts()), key=lambda f: f.rank)
     ranked = [search.improve(tried[0].unknowns, radius=0.5), *tried[1:2]]
     found = time.perf_counter()

@@ -50,6 +50,10 @@ for _row, _first in enumerate((5, 6, 8, 9, 10), start=2):
 ROUGHNESS[[7, 8], [12, 13]] = 1
 EVEN[7] = 1.0 / UNITS[BEYOND.start]
 
+PRESSED = 2.58
+"""Force over E w d, the jaws' width and the flap's depth, of a squeeze by the whole height, if it were
+linear: the median of random flaps. A grip by force is told as the compression that presses so."""
+
 DIFFERENCE = 1e-4
 """Of UNITS, for derivatives."""
 UNIT = 0.05
@@ -97,13 +101,23 @@ def motion(scene: Scene, unknowns: Array, times: Array = TIMES) -> Array:
     )
 
 
-def jaw_path(scene: Scene, unknowns: Array, kind: str) -> tuple[Grasp, JawPath]:
+def force_of(scene: Scene, unknowns: Array) -> Array:
+    """(...,) N, of grips by force, of which the first coefficient of the compression tells."""
+    tissue = scene.tissue
+    unit = PRESSED * tissue.modulus * scene.jaws.width * (scene.jaws.depth or tissue.depth)
+    return np.asarray(unknowns[..., GRIP.start] * unit)
+
+
+def jaw_path(scene: Scene, unknowns: Array, kind: str, by_force: bool) -> tuple[Grasp, JawPath]:
     """Grasp and path, of as many increments as the paper's."""
     steps = round(TIMES[-1] * paths.INCREMENTS)
     poses = motion(scene, unknowns, np.arange(steps + 1) / paths.INCREMENTS)
     height, x = scene.tissue.height, float(unknowns[PLACE]) * scene.tissue.length
     rest = np.array([[x, height / 2, 0.0, height]])
-    return Grasp(x, height - poses[0, 3]), JawPath.from_poses(np.concatenate([rest, poses]), kind)
+    path = JawPath.from_poses(np.concatenate([rest, poses]), kind)
+    if by_force:
+        return Grasp(x, force=float(force_of(scene, unknowns))), path
+    return Grasp(x, height - poses[0, 3]), path
 
 
 @dataclass(frozen=True)
@@ -136,10 +150,12 @@ class Program:
         clear: float,
         correction: Correction,
         own: bool = True,
+        by_force: bool = False,
     ):
         """reserve: part of each flap's friction limit that may be needed; clear: clearance asked for at the
         end, over the length; own: whether the first flap is the scene's own, whose target has to come into
-        view at time 1."""
+        view at time 1; by_force: whether the jaws press with a force, whatever that takes."""
+        self.by_force = by_force
         self.last = np.full(len(flaps), len(TIMES) - 1)
         if own:
             self.last[0] = END
@@ -147,16 +163,22 @@ class Program:
         self.correction = correction
         least, greatest = jaw_range(scene.tissue.length, scene.jaws.width)
         self.low, self.high = LOW.copy(), HIGH.copy()
+        if by_force:  # one number tells the force
+            self.low[GRIP.start + 1 : GRIP.stop] = self.high[GRIP.start + 1 : GRIP.stop] = 0.1
         self.low[PLACE], self.high[PLACE] = least / scene.tissue.length, greatest / scene.tissue.length
         self.evaluations = 0
         self.force = 1e-2
+        self.rough = ROUGHNESS.copy()
+        if by_force:
+            self.rough[:, GRIP] = 0.0
 
     def standing(self, unknowns: Array, flaps: Flaps | None = None) -> tuple[Standing, ...]:
         """Of each of m paths, unknowns (m, COUNT)."""
         flaps = self.flaps if flaps is None else flaps
         m, k, length = len(unknowns), len(flaps), self.scene.tissue.length
         poses = motion(self.scene, unknowns)
-        done = flaps.follow(unknowns[:, PLACE] * length, poses)
+        force = force_of(self.scene, unknowns) if self.by_force else None
+        done = flaps.follow(unknowns[:, PLACE] * length, poses, force=force)
         self.evaluations += m * k
         felt = done.felt.reshape(k, m, len(TIMES), -1)
         strain = felt[..., STRAIN] * self.correction.strain
@@ -199,7 +221,7 @@ class Program:
         return float(s.strain[0, : END + 1].max())
 
     def merit(self, unknowns: Array, s: Standing) -> float:
-        rough = float(np.abs(ROUGHNESS @ (unknowns / UNITS) - EVEN).sum())
+        rough = float(np.abs(self.rough @ (unknowns / UNITS) - EVEN).sum())
         worst = float(self.violations(s).max())
         return self.strain(s) / UNIT + PENALTY * worst + SMOOTH * rough
 
@@ -272,9 +294,9 @@ class Program:
             )
             if k == 0:
                 add(strain[k, :n] / UNIT, -at.strain[k, :n] / UNIT, COUNT)
-        rough = ROUGHNESS @ (unknowns / UNITS) - EVEN
+        rough = self.rough @ (unknowns / UNITS) - EVEN
         for sign in (1.0, -1.0):
-            block = np.hstack([sign * ROUGHNESS, np.zeros((lines, 2)), -np.eye(lines)])
+            block = np.hstack([sign * self.rough, np.zeros((lines, 2)), -np.eye(lines)])
             rows.append(block)
             bounds.append(-sign * rough)
         cost = np.array([*[0.0] * COUNT, 1.0, PENALTY, *[SMOOTH] * lines])

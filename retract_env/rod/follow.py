@@ -13,9 +13,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from retract_env.rod.block import advance_blocks, aim, borrowed, close, hold, new_blocks
+from retract_env.rod.block import advance_blocks, aim, borrowed, hold, hold_by_force, new_blocks
 from retract_env.rod.chain import LANES
+from retract_env.rod.grip import COMPRESSION
 from retract_env.rod.measures import CLEARANCE, DRAG_1, NORMAL_1, OVERLAP, WORST
+from retract_env.rod.press import remade
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -44,6 +46,8 @@ class Retractions(NamedTuple):
     """(n,) m, of the grasps"""
     poses: Array
     """(n, t, 4) x, y, m, theta, compression over the height: the jaws closed, then the motion"""
+    force: Array
+    """(n,) N, with which the jaws press, whatever their compression; 0: they close by the compression"""
     goal: Array
     """(n,) m, the clearance with which a retraction is over; inf: it goes on to its last pose"""
 
@@ -102,8 +106,11 @@ def _follow(blocks, given, laws, held, felt, count, lost, first, last):
                 vertices[lane, v, 0] = given.vertices[v, 0]
                 vertices[lane, v, 1] = given.vertices[v, 1] * given.veins[i, 0]
             moduli[lane] = given.moduli * given.veins[i, 1]
-            c = given.poses[i, 0, 3]
-            hold(block, lane, given.x[i], c, vertices[lane], given.offsets, moduli[lane], laws, held)
+            x, c, force = given.x[i], given.poses[i, 0, 3], given.force[i]
+            if force > 0.0:
+                hold_by_force(block, lane, x, force, vertices[lane], given.offsets, moduli[lane], laws, held)
+            else:
+                hold(block, lane, x, c, vertices[lane], given.offsets, moduli[lane], laws, held)
             moving[lane] = True
         for k in range(t):
             waiting = False
@@ -111,8 +118,9 @@ def _follow(blocks, given, laws, held, felt, count, lost, first, last):
                 if moving[lane]:
                     i = begin + lane
                     x, y, theta, c = given.poses[i, k]
-                    if k > 0 and c != given.poses[i, k - 1, 3]:
-                        close(block, lane, given.x[i], c, vertices[lane], given.offsets, moduli[lane], held)
+                    if k > 0 and given.force[i] == 0.0 and c != given.poses[i, k - 1, 3]:
+                        block.grip[lane, COMPRESSION] = c
+                        remade(block.flap[lane], block.grip[lane], held, block.free, block.inner, lane)
                     aim(block, lane, x, y, theta)
                     waiting = True
             if not waiting:
