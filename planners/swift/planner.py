@@ -124,6 +124,12 @@ class Search:
             out.append(u)
         return out
 
+    def ranked(self) -> list[Found]:
+        """Plans from all starts, the best first; that one is improved to the end."""
+        tried = sorted((self.improve(u, FIRST_STEPS, 2) for u in self.starts()), key=lambda f: f.rank)
+        best = self.improve(tried[0].unknowns, radius=0.5)
+        return [min(best, tried[0], key=lambda f: f.rank), *tried[1:]]
+
     def _program(self, flaps: Flaps, own: bool = True) -> Program:
         """own: whether the first of the flaps is the scene's own."""
         return Program(self.scene, flaps, self.reserve, CLEAR, self.correction, own, self.by_force)
@@ -238,8 +244,7 @@ def plan_swift(
     """Search on the rod, then hand in the best until it is certified and fits. Raises NoPlan."""
     start = time.perf_counter()
     search = Search(scene, grip == "force")
-    tried = sorted((search.improve(u, FIRST_STEPS, 2) for u in search.starts()), key=lambda f: f.rank)
-    ranked = [search.improve(tried[0].unknowns, radius=0.5), *tried[1:2]]
+    ranked = search.ranked()
     found = time.perf_counter()
     plan = race(scene, [Swift(scene, search, ranked)], KIND, resolution, workers, on_update)
     timings = {**plan.timings, "search": found - start, "total": time.perf_counter() - start}
