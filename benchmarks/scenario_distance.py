@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import os
 import sys
 import time
 from collections.abc import Sequence
@@ -45,6 +46,7 @@ FIRST_SEED, FLAPS = 70_000, 200
 KINDS = ("swift", "swift_force", "ctc", "eased")
 DRAWS = 2
 """for each plan"""
+HISTORY = ("progress", "strain", "friction", "reactions", "jaws", "clearance")
 LENIENT = Limits(strain=0.99, friction=5.0)
 """so that what happens past a limit is known too"""
 
@@ -97,7 +99,9 @@ def measured(mesh: str, item: tuple[int, str]) -> dict[str, Any]:
     if own is None or own.reason != "ok":
         return found
     history = own.history()
-    found["history"] = {name: history[name] for name in ("progress", "strain", "friction", "clearance")}
+    found["history"] = {
+        name: history[name] for name in ("progress", "strain", "friction", "reactions", "jaws", "clearance")
+    }
     for z in draws(DRAWS, seed):
         there = scenario(scene, grasp, path, z)
         if there is None:
@@ -134,6 +138,12 @@ def stored(mesh: str) -> list[dict[str, Any]]:
     return [json.loads(line) for line in file.read_text("utf-8").splitlines()] if file.exists() else []
 
 
+def _on_one_core() -> None:
+    """Have a worker use no more threads than it has cores."""
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {sorted(os.sched_getaffinity(0))[os.getpid() % cores()]})
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--flaps", type=int, default=FLAPS)
@@ -146,14 +156,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     seeds = range(FIRST_SEED, FIRST_SEED + options.flaps)
     work = [item for item in ((s, k) for s in seeds for k in KINDS) if item not in there]
     start = time.perf_counter()
-    with (FOLDER / f"{options.mesh}.jsonl").open("a", encoding="utf-8") as file:
-        with ProcessPoolExecutor(options.workers) as pool:
-            for done, found in enumerate(pool.map(partial(measured, options.mesh), work), 1):
-                file.write(json.dumps(found) + "\n")
-                file.flush()
-                if done % 20 == 0:
-                    left = (time.perf_counter() - start) / done * (len(work) - done) / 60
-                    print(f"{done} of {len(work)} plans, {left:.0f} min left", file=sys.stderr, flush=True)
+    with (
+        (FOLDER / f"{options.mesh}.jsonl").open("a", encoding="utf-8") as file,
+        ProcessPoolExecutor(options.workers, initializer=_on_one_core) as pool,
+    ):
+        for done, found in enumerate(pool.map(partial(measured, options.mesh), work), 1):
+            file.write(json.dumps(found) + "\n")
+            file.flush()
+            if done % 20 == 0:
+                left = (time.perf_counter() - start) / done * (len(work) - done) / 60
+                print(f"{done} of {len(work)} plans, {left:.0f} min left", file=sys.stderr, flush=True)
 
     plans = stored(options.mesh)
     by_half = [[s for p in plans if p["seed"] % 2 == odd for s in scores(p)] for odd in (0, 1)]

@@ -201,7 +201,7 @@ class Search:
         force = force_of(self.scene, unknowns[None]) if self.by_force else None
         poses = motion(self.scene, unknowns[None])
         rod = self.own.follow(unknowns[None, PLACE] * length, poses, force=force)
-        found = correction(1 + paths.INCREMENTS * TIMES, rod.felt[0], verdict.history)
+        found = correction(self.scene, 1 + paths.INCREMENTS * TIMES, rod.felt[0], verdict.history)
         if found is not None and not rod.lost[0]:
             self.correction, self.reserve = found, RESERVE
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planners import paths
-from planners.correction import Correction, needed_friction
+from planners.correction import Correction
 from planners.whatif import Flaps
 from retract_env.grasp import Grasp, JawPath
 from retract_env.mesh import jaw_range
@@ -180,13 +180,12 @@ class Program:
         force = force_of(self.scene, unknowns) if self.by_force else None
         done = flaps.follow(unknowns[:, PLACE] * length, poses, force=force)
         self.evaluations += m * k
-        felt = done.felt.reshape(k, m, len(TIMES), -1)
-        strain = felt[..., STRAIN] * self.correction.strain
-        normal, drag = felt[..., NORMAL], felt[..., DRAG]
-        friction = needed_friction(felt) + self.correction.friction
+        felt = self.correction.apply(done.felt.reshape(k, m, len(TIMES), -1))
+        strain, clearance = felt[..., STRAIN], felt[..., CLEAR] / length
+        friction = self.correction.needed_friction(felt)
+        normal, drag = felt[..., NORMAL], np.abs(felt[..., DRAG])
         holds = (self.reserve * flaps.friction)[:, None, None, None]
         slip = (drag + (self.correction.friction[:, None] - holds) * normal) / (holds * self.force)
-        clearance = (felt[..., CLEAR] + self.correction.clearance) / length
         in_view = clearance >= self.clear
         last = len(TIMES) - 1
         shown = np.where(in_view.any(-1), in_view.argmax(-1), last)

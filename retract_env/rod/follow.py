@@ -25,7 +25,7 @@ Indices = NDArray[np.int64]
 STRAIN, CLEAR, TOUCHES, NORMAL, DRAG = 0, 1, 2, slice(3, 5), slice(5, 7)
 FELT = 7
 """Numbers told of each pose: eps_1%, clearance, m, whether tissue is where something else is, and with what
-both jaws press and how much they drag along the flap, E h d."""
+both jaws press and what they drag along the flap, E h d."""
 
 
 class Retractions(NamedTuple):
@@ -137,6 +137,6 @@ def _follow(blocks, given, laws, held, felt, count, lost, first, last):
                     felt[i, k, CLEAR], felt[i, k, TOUCHES] = out[CLEARANCE], out[OVERLAP]
                     for jaw in range(2):
                         felt[i, k, 3 + jaw] = out[NORMAL_1 + jaw]
-                        felt[i, k, 5 + jaw] = abs(out[DRAG_1 + jaw])
+                        felt[i, k, 5 + jaw] = out[DRAG_1 + jaw]
                     count[i] = k + 1
                     moving[lane] = out[CLEARANCE] < given.goal[i]
