@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from planners.paths import ctc
 from retract_env.errors import Diverged
 from retract_env.grasp import Grasp, JawPath
 from retract_env.physics.base import TissueState
+from retract_env.physics.bullet.flap import FORCE_TOLERANCE, BulletPhysics
 from retract_env.physics.fem import FemPhysics
 from retract_env.physics.rod import RodPhysics
 from retract_env.rod.distance import margins
@@ -193,3 +194,46 @@ def made_from(scene: Scene, state: object) -> FemPhysics:
     physics = FemPhysics(scene, X, "coarse", force=FORCE)
     physics.set_state(state)
     return physics
+
+
+# --- Bullet's servo
+
+
+@pytest.fixture
+def bullet() -> Iterator[Callable[[float], BulletPhysics]]:
+    pytest.importorskip("pybullet")
+    made: list[BulletPhysics] = []
+
+    def make(force: float) -> BulletPhysics:
+        made.append(BulletPhysics(default_scene(), X, "coarse", force=force))
+        return made[-1]
+
+    yield make
+    for physics in made:
+        physics.close()
+
+
+def test_bullet_keeps_the_force_as_near_as_it_says(bullet: Callable[[float], BulletPhysics]) -> None:
+    force, path = 0.08, ctc(default_scene(), Grasp(X, force=0.08))
+    physics = bullet(force)
+
+    def follow() -> list[TissueState]:
+        physics.reset()
+        return [physics.move_to(path.pose_at(p), p) for p in (0.5, 1.0, 6.0, 11.0, 16.0)]
+
+    half, *states = follow()
+    assert pressing(half) == pytest.approx(force / 2, rel=FORCE_TOLERANCE)
+    for state in states:
+        assert pressing(state) == pytest.approx(force, rel=FORCE_TOLERANCE)
+    for a, b in zip([half, *states], follow(), strict=True):
+        assert same_bits(a, b)
+
+
+def test_bullets_jaws_that_would_meet_are_left_where_they_were(
+    bullet: Callable[[float], BulletPhysics],
+) -> None:
+    physics = bullet(50.0)
+    before = physics.reset()
+    with pytest.raises(Diverged):
+        physics.move_to(ctc(default_scene(), GRASP).pose_at(1.0), 1.0)
+    assert same_bits(physics.state(), before)
