@@ -9,7 +9,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -18,23 +18,15 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
 from numpy.typing import ArrayLike, NDArray
 
-from retract_env.config import Frozen
 from retract_env.drawing.stage import PIXELS, Stage
+from retract_env.given import read_grasp, read_scene, read_settings
 from retract_env.grasp import Grasp
 from retract_env.physics.pool import PhysicsPool
-from retract_env.scene import Scene, load_scene, sample_scene
+from retract_env.scene import Scene, sample_scene
 from retract_env.scene.sampling import SceneRanges
-from retract_env.task import Outcome, RetractionTask, Sensors, TaskConfig, actions, default_scene
+from retract_env.task import Outcome, RetractionTask, Sensors, TaskConfig, actions
 from retract_env.task.episode import Episode, EpisodeState
 from retract_env.task.observation import bounds
-
-
-class Settings(Frozen):
-    """What is given as plain data, read together so that an error names the argument."""
-
-    task: TaskConfig = TaskConfig()
-    ranges: SceneRanges = SceneRanges()
-    sensors: Sensors = Sensors()
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -79,8 +71,13 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
     | 1 | compression of the flap between the jaws, geometrically | 0.02 height | 0.5 height |
     | 2 | none | | |
 
-    Every later action moves the gripper; the distance between its jaws stays. `task` changes how far, and the
-    range of the compression:
+    With `grip="force"` number 1 is the force with which the jaws press, geometrically from 0.03 to 1 E w d: E
+    is the tissue's modulus, w the jaws' width, d the flap's depth. For the paper's flap that is 5 to 176 mN;
+    Eq. 5's compression, a quarter of the height, presses with 109 mN there, and one of 0.02 with some 8. The
+    force is the mean of both jaws' normal reactions, which differ by what they lift.
+
+    Every later action moves the gripper; the distance between its jaws stays, or with `grip="force"` the
+    force does, and the jaws give. `task` changes how far, and the range of the compression and of the force:
 
     | Num | Action | -1 | 1 |
     | --- | --- | --- | --- |
@@ -173,7 +170,11 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
     - `scene` (`None`): path of a scene's YAML file, a scene as plain data (`Scene.dump()`), `"random"` for a
       new one from the seed at each reset, or None for the paper's flap without veins.
     - `grasp` (`"agent"`): `"agent"` lets the first action choose; `"spring"` takes the best grasp of the
-      spring model at reset; `{"x": m, "compression": m}` takes this one.
+      spring model at reset; `{"x": m, "compression": m}` takes this one, `{"x": m, "force": N}` one that
+      presses so.
+    - `grip` (`None`): `"force"` or `"compression"`, what the second number of the first action is; a spring
+      model's grasp then presses as hard as closing so far is expected to. None is the task's own,
+      `"compression"`.
     - `resolution` (`None`): `"coarse"`, `"medium"`, `"fine"`, ...; None is `"coarse"` for fem, `"medium"` for
       bullet; the rod has `"rod"` alone.
     - `obs` (`"state"`): `"state"` or `"pixels"`.
@@ -181,8 +182,9 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
     - `render_mode` (`None`): `"rgb_array"`, frames of 640 x 480, or `"human"`.
     - `task` (`None`): what differs from `retract_env.task.TaskConfig()`: `weights` (those of the terms
       above), `steps` (64), `move` ([0.002, 0.002, 0.105], m, m, rad: how far -1 or 1 moves the gripper),
-      `compression` ([0.02, 0.5], least and greatest, over the height), `cap` (2), `limits` (`"end"` or
-      `"cost"`). Gymnasium's own `max_episode_steps` can only cut episodes short, unseen by `time_left`.
+      `grip`, as above, `compression` ([0.02, 0.5], least and greatest, over the height), `force` ([0.03, 1],
+      over E w d), `cap` (2), `limits` (`"end"` or `"cost"`). Gymnasium's own `max_episode_steps` can only cut
+      episodes short, unseen by `time_left`.
     - `ranges` (`None`): what `scene="random"` draws from where it differs from
       `retract_env.scene.sampling.SceneRanges()`: `{"veins": [0, 5], "slope": [0.5, 1.2]}`.
     - `sensors` (`None`): `{"noise": ..., "hide": [...]}`. `noise`: deviation of Gaussian noise on parts of
@@ -208,7 +210,7 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
 
     ## Version History
 
-    - v0: first version.
+    - v0: first version. Later with `grip`, whose default changes nothing.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012
@@ -228,6 +230,7 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
         task: Mapping[str, Any] | TaskConfig | None = None,
         ranges: Mapping[str, Any] | SceneRanges | None = None,
         sensors: Mapping[str, Any] | Sensors | None = None,
+        grip: str | None = None,
     ):
         """Raises ValueError (ConfigError) for what is not allowed, ImportError where the physics needs a
         package that is missing."""
@@ -239,8 +242,7 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
         ):
             if value not in allowed:
                 raise ValueError(f"{name} = {value!r}, allowed {', '.join(map(str, allowed))}")
-        given = {"task": task, "ranges": ranges, "sensors": sensors}
-        settings = Settings.from_data({name: value for name, value in given.items() if value is not None})
+        settings = read_settings(task, ranges, sensors, grip)
         self.task_config, self._ranges, self._sensors = settings.task, settings.ranges, settings.sensors
         self._scene = read_scene(scene)
         self._grasp = read_grasp(grasp)
@@ -377,23 +379,3 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
             return self._stage.pixels(self.episode)
         exact = self.episode.task.observation(self.episode.now)
         return self._sensors.read(exact, self.task_config, self.np_random)
-
-
-def read_scene(source: str | Mapping[str, Any] | Scene | None) -> Scene | Literal["random"]:
-    """A scene from what the environment was given. Raises SceneError."""
-    if source is None:
-        return default_scene()
-    if source == "random":
-        return "random"
-    if isinstance(source, Scene):
-        return source
-    return Scene.from_data(source) if isinstance(source, Mapping) else load_scene(source)
-
-
-def read_grasp(source: str | Mapping[str, float] | Grasp) -> Grasp | str:
-    """The grasp that the environment was given, "agent" and "spring" as they are. Raises ValueError."""
-    if isinstance(source, Grasp) or source in ("agent", "spring"):
-        return source
-    if isinstance(source, Mapping) and set(source) == {"x", "compression"}:
-        return Grasp(source["x"], source["compression"])
-    raise ValueError(f"grasp = {source!r}, allowed 'agent', 'spring' or x and compression")

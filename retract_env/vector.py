@@ -20,8 +20,8 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from retract_env.compilation import announce
-from retract_env.env import Settings, read_grasp, read_scene
 from retract_env.errors import Diverged, SceneError
+from retract_env.given import read_grasp, read_scene, read_settings
 from retract_env.grasp import Grasp
 from retract_env.mesh.jaws import jaw_range, patch_ends
 from retract_env.physics.registry import physics_kind
@@ -42,7 +42,7 @@ from retract_env.task.batch import (
     show_range,
     take_range,
 )
-from retract_env.task.episode import spring_grasps
+from retract_env.task.episode import held, spring_grasps
 from retract_env.task.flaps import Flaps, Workers
 from retract_env.task.infos import infos_of
 from retract_env.task.observation import bounds
@@ -106,6 +106,7 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
         task: Mapping[str, Any] | TaskConfig | None = None,
         ranges: Mapping[str, Any] | SceneRanges | None = None,
         sensors: Mapping[str, Any] | Sensors | None = None,
+        grip: str | None = None,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         threads: int | None = None,
     ):
@@ -123,8 +124,7 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
             if isinstance(number, bool) or not isinstance(number, int | np.integer) or number < 1:
                 raise ValueError(f"{name} = {number!r}, allowed a whole number from 1 on")
         self.num_envs = int(num_envs)
-        given = {"task": task, "ranges": ranges, "sensors": sensors}
-        settings = Settings.from_data({name: value for name, value in given.items() if value is not None})
+        settings = read_settings(task, ranges, sensors, grip)
         self.task_config, self._ranges, self._sensors = settings.task, settings.ranges, settings.sensors
         source, self._grasp = read_scene(scene), read_grasp(grasp)
         if ranges is not None and source != "random":
@@ -263,13 +263,13 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
                 stable = spring_grasps(scene)
                 if not stable:
                     raise Diverged(f"environment {k}: the spring model knows no grasp of its flap")
-                grip = stable[0]
+                grip = held(scene, stable[0], self.task_config)
             if isinstance(grip, Grasp):
                 grip.check_inside(scene.tissue.length, scene.tissue.height)
                 patch_ends(scene, grip.x)
         else:
             self._flaps.put_random(k)
-        self._flaps.lanes.given[k] = (grip.x, grip.compression) if isinstance(grip, Grasp) else np.nan
+        self._flaps.give(k, grip if isinstance(grip, Grasp) else None)
         self._special[k] = special
 
     def _suits_all(self, grip: Grasp | str) -> bool:
@@ -278,7 +278,7 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
             return grip == "agent"
         length, height = self._ranges.length[0], self._ranges.height[0]
         low, high = jaw_range(length, Jaws().width)
-        return low <= grip.x <= high and grip.compression < height
+        return low <= grip.x <= high and (grip.force is not None or grip.compression < height)
 
     def _begin(self, mask: Flags) -> None:
         flaps, told = self._flaps, self._flaps.told

@@ -32,7 +32,7 @@ FLOORS = {
     "retract_env": (
         "errors", "threads", "compilation", "config", "objectives", "grasp", "scene", "mesh", "spring", "fem",
         "rod",
-        "physics", "task", "rollout", "drawing", "env", "vector",
+        "physics", "task", "given", "rollout", "drawing", "env", "vector",
     ),
     "planners": (
         "certify", "paths", "base", "effort", "proposals", "search", "deform_closure", "light_grip", "eased",

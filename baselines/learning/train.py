@@ -25,8 +25,8 @@ from baselines.learning.checkpoints import CheckpointError, read_checkpoint, wri
 from baselines.learning.envs import judge, make_envs
 from baselines.learning.policies import Policy, load_policy, save_policy
 from baselines.learning.recipe import Recipe
-from retract_env.env import read_scene
 from retract_env.errors import ConfigError
+from retract_env.given import read_scene
 from retract_env.physics.registry import PHYSICS
 
 RUN, CHECKPOINT, CURVE, POLICY, LOG = "run.json", "checkpoint.pt", "curve.csv", "policy", "tensorboard"

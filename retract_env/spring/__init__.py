@@ -2,9 +2,17 @@
 
 from retract_env.compilation import forget_old
 from retract_env.spring.model import Basin, SpringModel, optimal_compression
-from retract_env.spring.press import expected_compression
+from retract_env.spring.press import PRESSED, by_force, expected_compression
 from retract_env.spring.stiffness import Stiffness
 
-__all__ = ["Basin", "SpringModel", "Stiffness", "expected_compression", "optimal_compression"]
+__all__ = [
+    "PRESSED",
+    "Basin",
+    "SpringModel",
+    "Stiffness",
+    "by_force",
+    "expected_compression",
+    "optimal_compression",
+]
 
 forget_old()

@@ -12,6 +12,15 @@ FIRMEST = 0.5
 """Over the height; no more is expected of any force."""
 
 
+def by_force(scene: Scene, grasp: Grasp) -> Grasp:
+    """The grasp at the same place that presses as hard as closing so far is expected to."""
+    if grasp.force is not None:
+        return grasp
+    tissue = scene.tissue
+    unit = PRESSED * tissue.modulus * scene.jaws.width * tissue.depth
+    return Grasp(grasp.x, score=grasp.score, force=unit * grasp.compression / tissue.height)
+
+
 def expected_compression(scene: Scene, grasp: Grasp) -> float:
     """m, by how much the jaws of a grasp will close: the separations of a path that they hold by force are
     nominal."""

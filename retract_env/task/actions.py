@@ -37,38 +37,47 @@ def checked(action: ArrayLike) -> Array:
 
 
 def grasp_range(scene: Scene, config: TaskConfig = DEFAULT) -> tuple[Array, Array]:
-    """Least and greatest (x, compression), (2,) m each, of a grasp whose jaws fit on the flap."""
+    """Least and greatest x, m, and compression, m, or force, N, (2,) each, of a grasp whose jaws fit on the
+    flap."""
     tissue, width = scene.tissue, scene.jaws.width
     # a hair inside, because an action is a rounded number
     nearest = jaw_range(tissue.length, width)[1] * (1 + 1e-6)
-    low, high = (share * tissue.height for share in config.compression)
+    unit = tissue.modulus * width * tissue.depth if config.grip == "force" else tissue.height
+    low, high = (share * unit for share in config.firmness)
     return np.array([-tissue.length, low]), np.array([nearest, high])
 
 
 def to_grasp(action: ArrayLike, scene: Scene, config: TaskConfig = DEFAULT) -> Grasp:
-    """Grasp of a first action: -1 is the free end and least compression, 1 the fixed end and the greatest.
+    """Grasp of a first action: -1 is the free end and the lightest grip, 1 the fixed end and the firmest.
 
-    In between, x goes linearly and the compression geometrically. The third number has no meaning. Raises
-    ValueError as `checked`.
+    In between, x goes linearly and compression or force geometrically. The third number has no meaning.
+    Raises ValueError as `checked`.
     """
     (near, light), (far, firm) = (ends.tolist() for ends in grasp_range(scene, config))
     along, strength = ((checked(action)[:2] + 1) / 2).tolist()
-    compression = min(
+    firmness = min(
         max(light * (firm / light) ** strength, light), firm
     )  # a rounding error may leave the range
-    return Grasp(near + along * (far - near), compression)
+    return Grasp(near + along * (far - near), **{config.grip: firmness})
 
 
 def from_grasp(grasp: Grasp, scene: Scene, config: TaskConfig = DEFAULT) -> Array:
-    """First action (3,) that takes this grasp, or the nearest one in range."""
+    """First action (3,) that takes this grasp, or the nearest one in range.
+
+    Raises ValueError for one that holds otherwise than the task's.
+    """
+    (held_by, firmness), *_ = grasp.firmness.items()
+    if held_by != config.grip:
+        raise ValueError(f"grasp.{held_by} = {firmness:g}, allowed a grasp by {config.grip}, as the task's")
     (near, light), (far, firm) = (ends.tolist() for ends in grasp_range(scene, config))
     along = (grasp.x - near) / (far - near)
-    strength = np.log(grasp.compression / light) / np.log(firm / light)
+    strength = np.log(firmness / light) / np.log(firm / light)
     return np.append(np.clip([2 * along - 1, 2 * strength - 1], -1.0, 1.0), 0.0)
 
 
 def moved(action: ArrayLike, pose: ArrayLike, config: TaskConfig = DEFAULT) -> Array:
-    """Pose (4,) x, y, theta, separation that a move leads to; the separation stays. Raises as `checked`."""
+    """Pose (4,) x, y, theta, separation that a move leads to. The separation stays; it is nominal where the
+    jaws hold by force. Raises as `checked`."""
     return np.asarray(pose, np.float64) + np.append(checked(action) * config.move, 0.0)
 
 

@@ -26,8 +26,10 @@ class Rules(NamedTuple):
     """(6,) of TERMS"""
     move: Array
     """(3,) m, m, rad"""
-    compression: Array
-    """(2,) least and greatest, over the height"""
+    by_force: bool
+    """whether the jaws hold by force, not by compression"""
+    firmness: Array
+    """(2,) least and greatest force, over E w d, or compression, over the height"""
     steps: int
     cap: float
     limits_end: bool
@@ -61,7 +63,8 @@ class Lanes(NamedTuple):
     moduli: Array
     """of the flaps, as `retract_env.scene.flaps` has them"""
     given: Array
-    """(n, 2) m, grasp that an episode begins on; nan where the first action chooses it"""
+    """(n, 3) m, m, N: x, and compression or force, of the grasp that an episode begins on; the other is nan,
+    and all are where the first action chooses it"""
     limits: Array
     """(n, 3)"""
     k_eq: Array
@@ -77,7 +80,7 @@ class Lanes(NamedTuple):
     jaws: Array
     """(n, 4) m"""
     grasp: Array
-    """(n, 2) m, where they grasp and by how much they close"""
+    """(n, 2) m, where they grasp, and m or N, by how much they close or how hard they press"""
     section: NDArray[np.int64]
     share: Array
     """(n, KEYPOINTS) before which section of the rod a keypoint is, and how far on to the next"""

@@ -90,4 +90,5 @@ def take_range(blocks, lanes, rules, told, first, last):
         block = borrowed(blocks, b)
         for i in range(b * LANES, min((b + 1) * LANES, len(lanes.steps))):
             if told.renewed[i] and not told.failed[i] and not math.isnan(lanes.given[i, 0]):
-                take(lanes, rules, block, i, lanes.given[i, 0], lanes.given[i, 1])
+                given = lanes.given[i]
+                take(lanes, rules, block, i, given[0], given[1], given[2])

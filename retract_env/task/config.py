@@ -13,6 +13,7 @@ Weight = Annotated[float, Range(-1e3, 1e3)]
 Move = Annotated[float, Range(0.0, 0.05, "m", "(]")]
 Turn = Annotated[float, Range(0.0, math.pi / 2, "rad", "(]")]
 Share = Annotated[float, Range(0.0, 1.0, "height", "()")]
+Push = Annotated[float, Range(0.0, 10.0, "E w d", "()")]
 
 
 class Weights(Frozen):
@@ -45,18 +46,30 @@ class TaskConfig(Frozen):
     """Least and greatest compression of a grasp over the flap's height. The spring model's are at most half
     the strain limit (Eq. 5). Equal steps of the action are equal factors: needed friction goes with one over
     the compression, and the lightest grips that hold differ by that much."""
+    grip: Annotated[Literal["compression", "force"], one_of(("compression", "force"))] = "compression"
+    """What the jaws hold by, and the action chooses: how far they close, or the force with which they press
+    from then on."""
+    force: Annotated[tuple[Push, Push], Listed] = (0.03, 1.0)
+    """Least and greatest force over E w d: modulus, jaws' width, flap's depth. A compression c of the height
+    presses with about 2.6 E w d c, so that half the strain limit (Eq. 5) takes 0.6 and the least compression
+    0.05; what presses with less than that slips, or hardly holds."""
     cap: Annotated[float, Range(1.0, 100.0, "limit", "(]")] = 2.0
     """Strain and friction over their limits are observed, rewarded and counted as cost up to here."""
     limits: Annotated[Literal["end", "cost"], one_of(("end", "cost"))] = "end"
     """What a broken limit does. "end": it ends the episode. "cost": it costs, and the episode goes on until
     the target is in view or time is up."""
 
-    @field_validator("compression")
+    @field_validator("compression", "force")
     @classmethod
     def _grows(cls, ends: tuple[float, float]) -> tuple[float, float]:
         if not ends[0] < ends[1]:
             raise refusal(f" = {brief(list(ends))}, allowed [least, greatest]")
         return ends
+
+    @property
+    def firmness(self) -> tuple[float, float]:
+        """Least and greatest of what the jaws hold by."""
+        return self.force if self.grip == "force" else self.compression
 
     @property
     def reward_range(self) -> tuple[float, float]:

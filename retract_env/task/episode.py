@@ -13,8 +13,8 @@ from retract_env.grasp import Grasp, JawPath
 from retract_env.physics.base import Physics, Restorable, TissueState
 from retract_env.physics.pool import PhysicsPool
 from retract_env.scene import Scene
-from retract_env.spring import SpringModel
-from retract_env.task import RetractionTask, Situation, actions, sound
+from retract_env.spring import SpringModel, by_force, expected_compression
+from retract_env.task import RetractionTask, Situation, TaskConfig, actions, sound
 
 Array = NDArray[np.float64]
 
@@ -62,7 +62,8 @@ class Episode:
     def physics(self) -> Physics | None:
         """That of the flap between the jaws, None before they closed."""
         if self._physics is None and self.grasp is not None:
-            physics = self.pool.take(self.task.scene, self.grasp.x, self.task.stop_when)
+            grasp = self.grasp
+            physics = self.pool.take(self.task.scene, grasp.x, self.task.stop_when, grasp.force)
             if self._stood is not None and isinstance(physics, Restorable):
                 physics.set_state(self._stood)
             else:
@@ -111,7 +112,7 @@ class Episode:
         candidates = spring_grasps(self.task.scene)[:MOST_GRASPS] if grasp is None else [grasp]
         for candidate in candidates:
             self.diverged = False
-            self._close(candidate)
+            self._close(candidate if grasp else held(self.task.scene, candidate, self.task.config))
             if not self.diverged:
                 return
         tried = f"{len(candidates)} grasps" if len(candidates) > 1 else "the grasp"
@@ -128,9 +129,10 @@ class Episode:
     def _close(self, grasp: Grasp) -> None:
         tissue = self.task.scene.tissue
         grasp.check_inside(tissue.length, tissue.height)
-        squeezed = np.array([grasp.x, tissue.height / 2, 0.0, tissue.height - grasp.compression])
+        closed = expected_compression(self.task.scene, grasp)
+        squeezed = np.array([grasp.x, tissue.height / 2, 0.0, tissue.height - closed])
         try:
-            physics = self.pool.take(self.task.scene, grasp.x, self.task.stop_when)
+            physics = self.pool.take(self.task.scene, grasp.x, self.task.stop_when, grasp.force)
             physics.reset()
             state = _sound(physics.move_to(squeezed, 1.0))
         except (Diverged, MeshError):
@@ -160,6 +162,11 @@ class Episode:
 def spring_grasps(scene: Scene) -> list[Grasp]:
     """The spring model's stable grasps, best first; the planners' too."""
     return SpringModel(scene.tissue).stable_grasps(scene.limits.strain, scene.jaws.width)
+
+
+def held(scene: Scene, grasp: Grasp, config: TaskConfig) -> Grasp:
+    """The spring model's grasp as the task's jaws hold: by compression, or as hard by force."""
+    return by_force(scene, grasp) if config.grip == "force" else grasp
 
 
 def _sound(state: TissueState) -> TissueState:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from retract_env.grasp import Grasp
 from retract_env.physics.rod import flap_numbers, laws, sight_numbers
 from retract_env.rod.block import STATE, new_blocks
 from retract_env.rod.chain import LANES
@@ -43,7 +44,8 @@ class Flaps:
         self.rules = Rules(
             np.array([weights[name] for name in TERMS]),
             np.array(task.move),
-            np.array(task.compression),
+            task.grip == "force",
+            np.array(task.firmness),
             task.steps,
             task.cap,
             task.limits == "end",
@@ -70,7 +72,7 @@ class Flaps:
             vertices=rows(*vertices.shape),
             offsets=np.zeros((n, len(offsets)), np.int64),
             moduli=rows(len(moduli)),
-            given=np.full((n, 2), np.nan),
+            given=np.full((n, 3), np.nan),
             limits=rows(3),
             k_eq=rows(STIFFNESS_SAMPLES),
             sight=rows(3),
@@ -119,6 +121,13 @@ class Flaps:
         lanes.offsets[k, : len(offsets)], lanes.offsets[k, len(offsets) :] = offsets, offsets[-1]
         lanes.moduli[k, : len(moduli)], lanes.moduli[k, len(moduli) :] = moduli, 0.0
         self._alike_in(k, scene)
+
+    def give(self, k: int, grasp: Grasp | None) -> None:
+        """Have environment k take this grasp when its next episode begins; None: the agent chooses."""
+        row = (np.nan,) * 3
+        if grasp is not None:
+            row = grasp.x, grasp.compression, np.nan if grasp.force is None else grasp.force
+        self.lanes.given[k] = row
 
     def put_random(self, k: int) -> None:
         """Have environment k draw a flap when its next episode begins."""

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 
 from retract_env.mesh.jaws import SLIVER
-from retract_env.rod.block import aim, hold, jaws_in
+from retract_env.rod.block import aim, hold, hold_by_force, jaws_in
 from retract_env.rod.chain import LANES
 from retract_env.rod.flap import (
     DEPTH,
@@ -132,22 +132,30 @@ def act(lanes, rules, block, i, action):
     flap = block.flap[lane]
     length, height, width = flap[LENGTH_M], flap[HEIGHT], flap[JAW_WIDTH]
     near, far = -length, -(0.5 + SLIVER) * width * (1 + 1e-6)
-    light, firm = rules.compression[0] * height, rules.compression[1] * height
+    unit = flap[MODULUS] * width * flap[DEPTH] if rules.by_force else height
+    light, firm = rules.firmness[0] * unit, rules.firmness[1] * unit
     along, strength = (action[0] + 1) / 2, (action[1] + 1) / 2
-    compression = min(max(light * (firm / light) ** strength, light), firm)
-    take(lanes, rules, block, i, near + along * (far - near), compression)
+    firmness = min(max(light * (firm / light) ** strength, light), firm)
+    compression, force = (np.nan, firmness) if rules.by_force else (firmness, np.nan)
+    take(lanes, rules, block, i, near + along * (far - near), compression, force)
 
 
 @njit(**INSIDE)
-def take(lanes, rules, block, i, x, compression):
-    """Have environment i's jaws close at x by a compression, m, once its block advances."""
+def take(lanes, rules, block, i, x, compression, force):
+    """Have environment i's jaws close at x by a compression, m, or until they press with a force, N, once its
+    block advances; the other is nan."""
     lane = i % LANES
     height, pose = block.flap[lane, HEIGHT], lanes.pose[i]
     veins = lanes.vertices[i], lanes.offsets[i], lanes.moduli[i]
-    lanes.grasp[i, 0], lanes.grasp[i, 1] = x, compression
-    pose[0], pose[1], pose[2], pose[3] = x, height / 2, 0.0, height - compression
-    closed = (height - pose[3]) / height
-    hold(block, lane, x, closed, veins[0], veins[1], veins[2], rules.laws, rules.held)
+    pose[0], pose[1], pose[2], pose[3] = x, height / 2, 0.0, height
+    if math.isnan(force):
+        lanes.grasp[i, 0], lanes.grasp[i, 1] = x, compression
+        pose[3] = height - compression
+        closed = (height - pose[3]) / height
+        hold(block, lane, x, closed, veins[0], veins[1], veins[2], rules.laws, rules.held)
+    else:
+        lanes.grasp[i, 0], lanes.grasp[i, 1] = x, force
+        hold_by_force(block, lane, x, force, veins[0], veins[1], veins[2], rules.laws, rules.held)
     aim(block, lane, x, height / 2, 0.0)
     find_keypoints(lanes, i, block.flap[lane, LENGTH_M], height)
 

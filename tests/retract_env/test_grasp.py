@@ -111,6 +111,37 @@ def test_grasp_has_to_be_inside_the_flap() -> None:
         Grasp(-0.02, 0.0044).check_inside(0.05, 0.0044)
 
 
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({}, "grasp.compression = nan m, allowed above 0 m, or else grasp.force, above 0 N"),
+        ({"force": 0.0}, "grasp.force = 0 N, allowed above 0 N"),
+        ({"force": math.nan}, "grasp.force = nan N, allowed above 0 N"),
+        ({"force": "hard"}, "grasp.force = 'hard', allowed a number, N"),
+        (
+            {"force": 0.1, "compression": 1e-3},
+            "grasp.force = 0.1 N and grasp.compression = 0.001 m, allowed one of them",
+        ),
+    ],
+)
+def test_a_grasp_holds_by_compression_or_by_force(values: dict[str, Any], said: str) -> None:
+    with pytest.raises(ValueError, match="allowed") as error:
+        Grasp(-0.02, **values)
+    assert str(error.value) == said
+
+
+def test_grasps_by_the_same_force_are_the_same() -> None:
+    grasp = Grasp(-0.02, force=np.float32(0.5))  # type: ignore[arg-type]
+    assert grasp.firmness == {"force": 0.5} and math.isnan(grasp.compression)
+    copies = Grasp(-0.02, force=0.5, score=3.0), copy.deepcopy(grasp), pickle.loads(pickle.dumps(grasp))
+    assert all(grasp == one and hash(grasp) == hash(one) for one in copies)
+    assert grasp == Grasp(-0.02, None, force=0.5) == Grasp(-0.02, math.nan, force=0.5)  # type: ignore[arg-type]
+    assert grasp not in (Grasp(-0.02, 0.5), Grasp(-0.02, force=0.6), Grasp(-0.03, force=0.5))
+    grasp.check_inside(0.05, 0.0044)
+    with pytest.raises(ValueError, match=r"grasp\.x = -0\.02 m"):
+        grasp.check_inside(0.01, 0.0044)
+
+
 def test_grasp_is_the_same_with_or_without_a_score() -> None:
     grasp = Grasp(-0.02, 0.001)
     assert math.isnan(grasp.score)

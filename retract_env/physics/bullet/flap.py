@@ -50,8 +50,18 @@ QUARTER_SWING = 0.03
 fastest."""
 MOST_WORK = 25_000_000
 """Time steps times tetrahedra until a flap has to be at rest: some 20 s."""
+NEAREST = 0.05
+"""Heights; jaws that are to come nearer than this have met."""
 SMALLEST_CUT = 1 / 64
 """Part of a move below which it is not cut any further."""
+FORCE_TOLERANCE = 0.02
+"""Jaws that hold by force press with it to this part, as measured when a move ends. The flap is not quite at
+rest then, which is worth 1 %."""
+MOST_PRESSES = 16
+"""Short moves in search of one separation; two or three are the rule."""
+FIRMER = 6.0
+"""N/(E w d), with w the jaws' width and d the flap's depth, that one height of closing adds to the force, as
+the search for a separation begins: these tetrahedra press back twice as hard as the flap would."""
 LIFTED = 3e-4
 """m. The bed is taken away while all of the flap is higher than this, except next to the fixed end."""
 
@@ -93,9 +103,11 @@ class BulletPhysics:
         jaw_x: float,
         resolution: str | BulletResolution = "medium",
         stop_when: Callable[[TissueState], bool] | None = None,
+        force: float | None = None,
     ):
         """jaw_x: m, where the jaws grasp; stop_when: called with the farthest state that is
-        reached by a move which cannot be completed; the move ends there if it returns True.
+        reached by a move which cannot be completed; the move ends there if it returns True; force: N, by
+        which the jaws hold, to `FORCE_TOLERANCE`, None: by their separation.
 
         Raises ImportError, one line, without pybullet, and ValueError as `tet_mesh`.
         """
@@ -103,7 +115,7 @@ class BulletPhysics:
             if resolution not in BULLET_RESOLUTIONS:
                 raise ValueError(f"resolution = {resolution!r}, allowed {', '.join(BULLET_RESOLUTIONS)}")
             resolution = BULLET_RESOLUTIONS[resolution]
-        self.scene, self.resolution, self.jaw_x = scene, resolution, jaw_x
+        self.scene, self.resolution, self.jaw_x, self.force = scene, resolution, jaw_x, force
         self._stop_when = stop_when
         tissue = scene.tissue
         self.mesh = mesh = tet_mesh(scene, jaw_x, resolution.along, resolution.across, resolution.deep)
@@ -123,6 +135,8 @@ class BulletPhysics:
     def _begin(self) -> None:
         rest = to_pose(np.array([self.jaw_x, 0.0, self.jaw_x, self.scene.tissue.height]))
         self._good = self.mesh.points, rest, 0.0
+        tissue = self.scene.tissue
+        self._slope = -FIRMER * tissue.modulus * self.scene.jaws.width * tissue.depth / tissue.height
         self._restore()
 
     def _restore(self) -> None:
@@ -173,8 +187,10 @@ class BulletPhysics:
             raise ValueError(f"pose = {pose.tolist()}, allowed 4 finite numbers")
         _, start, before = self._good
         end = before if progress is None else progress
+        # by which part jaws that hold by force press while they close
+        self._part = 1.0 if progress is None else min(progress, 1.0)
         try:
-            return self._move(pose, end)
+            return self._reach(pose, end)
         except Diverged:
             if self._stop_when is None:
                 raise
@@ -182,10 +198,37 @@ class BulletPhysics:
             while part > SMALLEST_CUT:
                 part /= 2
                 with contextlib.suppress(Diverged):
-                    state = self._move(start + part * (pose - start), before + part * (end - before))
+                    state = self._reach(start + part * (pose - start), before + part * (end - before))
                     if self._stop_when(state):
                         return state
                     break
+            self._good = good
+            self._restore()
+            raise
+
+    def _reach(self, pose: Array, progress: float) -> TissueState:
+        """Move to a pose; jaws that hold by force find its separation: secants on the measured force."""
+        if self.force is None:
+            return self._move(pose, progress)
+        good, level, slope = self._good, self.force * self._part, self._slope
+        pose = np.append(pose[:3], good[1][3])
+        try:
+            state = self._move(pose, progress)
+            pressed = _pressing(state)
+            for _ in range(MOST_PRESSES):
+                if abs(pressed - level) <= FORCE_TOLERANCE * level:
+                    self._slope = slope
+                    return state
+                step = float(np.clip((level - pressed) / slope, -STRIDE / 4, STRIDE / 4))
+                pose, was = np.append(pose[:3], pose[3] + step), pressed
+                if pose[3] <= NEAREST * self.scene.tissue.height:
+                    raise Diverged(f"the jaws meet before they press with {1e3 * level:.4g} mN")
+                state = self._move(pose, progress)
+                pressed = _pressing(state)
+                # the flap's swing is in what is measured: no slope is believed that is far from the last
+                slope = float(np.clip((pressed - was) / step, 2 * slope, slope / 2))
+            raise Diverged(f"no separation at which the jaws press with {1e3 * level:.4g} mN")
+        except Diverged:
             self._good = good
             self._restore()
             raise
@@ -290,6 +333,11 @@ class BulletPhysics:
             world.stop()
             self._energy = 0.0
         return fastest
+
+
+def _pressing(state: TissueState) -> float:
+    """N, the mean of both jaws' normal reactions."""
+    return -float((state.reactions * state.normals).sum()) / 2
 
 
 def _pybullet() -> Any:
