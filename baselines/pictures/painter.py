@@ -19,7 +19,7 @@ from types import SimpleNamespace, TracebackType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from baselines.pictures.still import StiffnessCurve
+    from baselines.pictures.stiffness import StiffnessCurve
     from planners.base import Plan
 
 
@@ -72,7 +72,7 @@ class Painter:
 
     def begin(self, plan: Plan, names: Sequence[str]) -> Callable[[], dict[str, bytes]]:
         """Have the files of these names drawn; the function that is returned waits for their content."""
-        from baselines.pictures.still import stiffness_curve
+        from baselines.pictures.stiffness import stiffness_curve
 
         curve = stiffness_curve(plan)
         if self._process is not None:

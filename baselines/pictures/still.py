@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +16,6 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon, Rectangle
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 from PIL import Image
 
 from baselines.jobs.files import written_whole
@@ -38,14 +36,13 @@ from baselines.pictures.drawing import (
     strain_map,
     view_limits,
 )
+from baselines.pictures.stiffness import StiffnessCurve, stiffness_curve
 from retract_env.drawing.palette import GREY, HIDDEN_VEIL, INK, LIMIT, SIGHT, STEEL, VALUE
 from retract_env.drawing.shapes import SectionTopology, hidden_region
 
 if TYPE_CHECKING:
-    from planners.base import Candidate, Plan
+    from planners.base import Plan
     from retract_env.physics.base import TissueState
-
-Array = NDArray[np.float64]
 
 DPI = 160
 WIDTH, LEFT, RIGHT = 10.0, 0.75, 0.95  # inches: page, margins
@@ -87,36 +84,6 @@ def picture(plan: Plan, curve: StiffnessCurve | None = None) -> bytes:
     # a third of the time that the usual level takes, for 2 % more bytes, which leaving out alpha saves
     drawn.convert("RGB").save(data, format="png", compress_level=3, dpi=(DPI, DPI))
     return data.getvalue()
-
-
-@dataclass(frozen=True)
-class StiffnessCurve:
-    """Stiffness k_eq of Eq. 2 along the flap, and the ranked grasps on it."""
-
-    x: Array
-    """(n,) m"""
-    k: Array
-    """(n,) Pa/m"""
-    grasps: tuple[tuple[int, float, float], ...]
-    """rank, 0 for one that was not among the candidates; x in m; k_eq there"""
-
-
-def stiffness_curve(plan: Plan) -> StiffnessCurve:
-    """The curve that a plan's picture shows. Apart from the drawing, as the spring model is compiled code,
-    which takes longer to load than all of it takes to draw."""
-    from retract_env.spring import SpringModel
-
-    tissue, chosen = plan.scene.tissue, plan.grasp.x
-    model = SpringModel(tissue)
-    knots = np.asarray(model.knots)
-    step = 1e-9 * tissue.length  # k_eq jumps at vertical edges: sample both sides
-    x = np.unique(np.concatenate((np.linspace(-tissue.length, 0.0, 801), knots - step, knots, knots + step)))
-    x = x[(x >= -tissue.length) & (x <= 0.0)]
-    grasps = ranked(plan.candidates)
-    if all(abs(at - chosen) > 1e-9 for _, at in grasps):
-        grasps.append((0, chosen))
-    known = tuple((rank, at, float(model.k_eq(np.array([at]))[0])) for rank, at in grasps)
-    return StiffnessCurve(x, np.asarray(model.k_eq(x)), known)
 
 
 def retraction_figure(plan: Plan, curve: StiffnessCurve | None = None) -> Figure:
@@ -181,14 +148,6 @@ def _draw_title(figure: Figure, plan: Plan, height: float) -> None:
     figure.text(left, 1 - 0.38 / height, heading(plan), fontsize=16, weight="bold")
     figure.text(left, 1 - 0.63 / height, where, fontsize=10.5, color=GREY)
     figure.text(left, 1 - 0.86 / height, verdict(plan), fontsize=10.5, weight="bold", color=colour)
-
-
-def ranked(candidates: Sequence[Candidate]) -> list[tuple[int, float]]:
-    """Rank from 1 and x in m of each grasp, best first as the candidates come; one x counts once."""
-    seen: dict[float, int] = {}
-    for candidate in candidates:
-        seen.setdefault(round(candidate.grasp.x, 9), len(seen) + 1)
-    return [(rank, x) for x, rank in seen.items()]
 
 
 def _draw_stiffness(axes: Axes, below: Axes, plan: Plan, curve: StiffnessCurve) -> None:

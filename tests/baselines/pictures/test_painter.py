@@ -79,11 +79,15 @@ def test_an_interrupt_ends_the_painter(plan: Plan) -> None:
     assert process is not None and process.returncode is not None
 
 
-def test_the_painter_imports_no_planners() -> None:
-    code = (
-        "import sys; from baselines.pictures import painter; painter._get_ready(); "
-        "print(sorted({'numba', 'scipy', 'planners', 'netgen'} & set(sys.modules)))"
-    )
+@pytest.mark.parametrize(
+    ("statement", "heavy"),
+    [
+        ("from baselines.pictures import painter; painter._get_ready()", ("numba", "scipy", "planners")),
+        ("import baselines.pictures.painter, baselines.pictures.stiffness", ("matplotlib",)),
+    ],
+)
+def test_neither_side_imports_what_the_other_needs(statement: str, heavy: tuple[str, ...]) -> None:
+    code = f"import sys; {statement}; print(sorted(set({heavy!r}) & set(sys.modules)))"
     root = Path(__file__).resolve().parents[3]
     done = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True, check=False)
     assert done.stdout == "[]\n", done.stderr
