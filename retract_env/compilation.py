@@ -21,8 +21,9 @@ def forget_old() -> None:
 
     numba compares a kernel with the file that it is written in, not with those of the functions that it
     calls: after an update it would go on with what these were before. Where nothing can be written, nothing
-    is kept.
+    is kept. What is kept is loaded without numba's compiler from now on.
     """
+    _load_without_compiler()
     sources = sorted(_PACKAGE.rglob("*.py"))
     state = "".join(f"{path} {path.stat().st_mtime_ns} {path.stat().st_size}\n" for path in sources)
     stamp = hashlib.sha256(state.encode()).hexdigest()
@@ -36,6 +37,30 @@ def forget_old() -> None:
                 one.unlink(missing_ok=True)
         kept.parent.mkdir(parents=True, exist_ok=True)
         kept.write_text(stamp, "utf-8")
+
+
+@cache
+def _load_without_compiler() -> None:
+    """Have numba take this package's kernels from disk before it has made its compiler ready.
+
+    It does that first even if nothing is to be compiled, half a second in which it imports all that it can
+    compile, SciPy's linear algebra too. Machine code needs none of it but the runtime that it allocates
+    arrays with. A kernel that is not on disk finds the compiler made ready as ever, by `compile_extra`.
+    """
+    from numba.core.caching import FunctionCache
+    from numba.core.runtime import rtsys
+
+    usual = FunctionCache.load_overload
+
+    def load_overload(self: Any, sig: Any, target_context: Any) -> Any:
+        if self._py_func.__module__.partition(".")[0] != __name__.partition(".")[0]:
+            return usual(self, sig, target_context)
+        rtsys.initialize(target_context)
+        with self._guard_against_spurious_io_errors():
+            return self._load_overload(sig, target_context)
+
+    if hasattr(FunctionCache, "_load_overload"):  # a later numba may have another way
+        FunctionCache.load_overload = load_overload
 
 
 def _kept_in(folder: Path) -> Path:

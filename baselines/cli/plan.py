@@ -22,6 +22,7 @@ from baselines.cli.console import (
 )
 from baselines.cli.verdict import Clock, ResolutionOption, VerifyOption, report
 from baselines.jobs.files import write_json, written_whole
+from baselines.pictures.painter import Painter
 
 if TYPE_CHECKING:
     from planners.base import Plan
@@ -50,6 +51,7 @@ def plan_command(
     with exit_codes(), ExitStack() as stack:
         if pictures and film == "mp4" and importlib.util.find_spec("imageio_ffmpeg") is None:
             raise BadInput("--format mp4 needs imageio-ffmpeg: pip install 'retract[video]', or choose gif")
+        painter = stack.enter_context(Painter()) if pictures else None  # gets ready while we plan
         with clock.phase("imports"):
             from retract_env.scene import SceneError, load_scene
         try:
@@ -81,28 +83,32 @@ def plan_command(
             with clock.phase("verification"):
                 certificate = verified(best.certificate, scene, best.grasp, best.path)
             best = dataclasses.replace(best, certificate=certificate)
+        drawn = None if painter is None else painter.begin(best, ["retraction.png", f"retraction.{film}"])
         report(best.certificate)
-        written = _write_plan(best, folder, film if pictures else None, clock)
+        written = _write_plan(best, folder, drawn, clock)
         typer.echo("written: " + ", ".join(str(path) for path in written))
         typer.echo(clock.summary(best.timings))
 
 
-def _write_plan(plan: Plan, folder: Path, film: str | None, clock: Clock) -> list[Path]:
-    """Write plan, certificate and pictures into the folder, all of them or none; returns their paths."""
-    files: dict[str, Callable[[Path], None]] = {
-        "plan.json": lambda path: write_json(path, plan.to_json()),
-        "certificate.json": lambda path: write_json(path, plan.certificate.to_json()),
-    }
-    if film is not None:
-        with clock.phase("imports"):
-            from baselines.pictures.film import animate_retraction
-            from baselines.pictures.still import draw_retraction
-        files["retraction.png"] = lambda path: draw_retraction(plan, path)
-        files[f"retraction.{film}"] = lambda path: animate_retraction(plan, path)
+def _write_plan(
+    plan: Plan, folder: Path, drawn: Callable[[], dict[str, bytes]] | None, clock: Clock
+) -> list[Path]:
+    """Write plan, certificate and pictures into the folder, all of them or none; returns their paths.
+
+    drawn: waits for the pictures, None where none are wanted.
+    """
     with writing(folder), clock.phase("pictures and files"), ExitStack() as all_or_none:
-        for name, write in files.items():
-            write(all_or_none.enter_context(written_whole(folder / name)))
-    return [folder / name for name in files]
+        paths = []
+
+        def place(name: str) -> Path:
+            paths.append(folder / name)
+            return all_or_none.enter_context(written_whole(folder / name))
+
+        write_json(place("plan.json"), plan.to_json())
+        write_json(place("certificate.json"), plan.certificate.to_json())
+        for name, data in ({} if drawn is None else drawn()).items():
+            place(name).write_bytes(data)
+    return paths
 
 
 def _check_planner(name: str, known: Collection[str]) -> None:

@@ -55,18 +55,22 @@ def animate_retraction(plan: Plan, path: str | Path, fps: int = 20) -> None:
     without frames, and for .mp4 where imageio-ffmpeg is missing. The file appears whole or not at all.
     """
     path = Path(path)
-    kind = path.suffix.lower()
-    if kind not in (".gif", ".mp4"):
-        raise ValueError(f"animation {path.name}: the name must end in .gif or .mp4")
+    data = film(plan, path.suffix.lower().removeprefix("."), fps)
+    with written_whole(path) as temporary:
+        temporary.write_bytes(data)
+
+
+def film(plan: Plan, kind: str, fps: int = 20) -> bytes:
+    """What animate_retraction writes, kind: gif or mp4. Raises ValueError as it does."""
+    if kind not in ("gif", "mp4"):
+        raise ValueError(f"animation .{kind}: the name must end in .gif or .mp4")
     if not 1 <= fps <= 50:
         raise ValueError(f"fps = {fps:g}, allowed [1, 50]")
-    if kind == ".mp4" and importlib.util.find_spec("imageio_ffmpeg") is None:
+    if kind == "mp4" and importlib.util.find_spec("imageio_ffmpeg") is None:
         raise ValueError("writing .mp4 needs imageio-ffmpeg: pip install imageio-ffmpeg, or choose .gif")
     with matplotlib.rc_context(STYLE):
         images = list(animation_images(plan))
-    data = _gif(images, fps) if kind == ".gif" else _mp4(images, fps)
-    with written_whole(path) as temporary:
-        temporary.write_bytes(data)
+    return _gif(images, fps) if kind == "gif" else _mp4(images, fps)
 
 
 def shown_frames(steps: Array) -> list[int]:

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import logging
+import os
+import subprocess
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
 from retract_env import compilation
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture
@@ -54,6 +59,32 @@ def test_a_folder_that_numba_was_given_is_searched_too(
     (package / "kernel.py").write_text("another one", "utf-8")
     compilation.forget_old.__wrapped__()
     assert not ours.exists() and others.exists()
+
+
+LOADED = """
+import sys
+import numpy as np
+from retract_env.compilation import is_cached
+from retract_env.spring import stiffness
+from retract_env.spring.model import SpringModel
+from retract_env.scene import load_scene
+there = is_cached(stiffness._integrate)
+tissue = load_scene("ten_veins").tissue
+print(there, "numba.np.arraymath" in sys.modules or not SpringModel(tissue).k_eq(np.array([-0.02])).all())
+print("numba.np.arraymath" in sys.modules)
+"""
+
+
+def test_kernels_on_disk_are_loaded_without_the_compiler(tmp_path: Path) -> None:
+    """The first process makes the compiler ready, the next one has no use for it."""
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(ROOT)}
+    said = [
+        subprocess.run(
+            [sys.executable, "-c", LOADED], env=environment, capture_output=True, text=True, check=True
+        ).stdout.split()
+        for _ in range(2)
+    ]
+    assert said == [["False", "False", "True"], ["True", "False", "False"]]
 
 
 def test_whoever_waits_is_told_once(

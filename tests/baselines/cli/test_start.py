@@ -54,6 +54,22 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out.startswith("retract ")
 
 
+def test_garbage_is_looked_for_seldom_only_in_a_process_of_the_command() -> None:
+    """Whoever calls `main` from a program of theirs keeps their own pace."""
+    code = """
+import gc, sys
+from baselines.cli import main
+before = gc.get_threshold()
+main(["--version"])
+assert gc.get_threshold() == before
+sys.argv[1:] = ["--version"]
+main()
+assert gc.get_threshold() > before
+"""
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
 def test_a_first_run_shows_that_it_compiles(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -20,7 +20,8 @@ from PIL import Image, ImageSequence
 
 from baselines.pictures.drawing import path_steps, strain_map
 from baselines.pictures.film import animate_retraction, shown_frames
-from baselines.pictures.still import draw_retraction, ranked, retraction_figure, verdict
+from baselines.pictures.stiffness import ranked
+from baselines.pictures.still import draw_retraction, retraction_figure, verdict
 from planners.base import Candidate, Plan
 from planners.certify import Certificate
 from retract_env.drawing.shapes import SectionTopology
