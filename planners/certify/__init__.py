@@ -2,6 +2,18 @@
 
 from planners.certify.certificate import FAILURES, REASONS, Certificate
 from planners.certify.retraction import Retraction
-from planners.certify.trial import Trial, certify, differences, verified
+from planners.certify.robust import Robust
+from planners.certify.trial import Trial, certify, differences, stated, verified
 
-__all__ = ["FAILURES", "REASONS", "Certificate", "Retraction", "Trial", "certify", "differences", "verified"]
+__all__ = [
+    "FAILURES",
+    "REASONS",
+    "Certificate",
+    "Retraction",
+    "Robust",
+    "Trial",
+    "certify",
+    "differences",
+    "stated",
+    "verified",
+]

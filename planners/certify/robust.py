@@ -13,6 +13,7 @@ import json
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -30,6 +31,7 @@ from retract_env.grasp import Grasp, JawPath
 from retract_env.rod.follow import CLEAR, STRAIN, TOUCHES
 from retract_env.scenarios import draws, scenario
 from retract_env.scene import UNKNOWNS, Scene, Uncertainty
+from retract_env.threads import cores
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -204,13 +206,15 @@ def statement(
     between = np.flatnonzero(~held & ~fails)
     missed[~held] = 0.0
     judged: dict[int, str] = {}
-    for i in between[:MOST_JUDGED].tolist():
-        on_increment()
-        judged[i] = _judged(scene, grasp, path, z[i], certificate.mesh["resolution"], on_increment)
+    resolution = certificate.mesh["resolution"]
+    in_question = between[:MOST_JUDGED].tolist()
+    with ThreadPoolExecutor(cores()) as pool:
+        said = pool.map(lambda i: _judged(scene, grasp, path, z[i], resolution, on_increment), in_question)
+        judged.update(zip(in_question, said, strict=True))
     for i in np.flatnonzero(fails).tolist():
         by_rod[str(reason[i])] += 1
     undecided = len(between) - len(judged)
-    failures = by_rod + Counter(said for said in judged.values() if said != "ok")
+    failures = by_rod + Counter(found for found in judged.values() if found != "ok")
     if undecided:
         failures["undecided"] = undecided
     count = sum(failures.values())
@@ -337,12 +341,14 @@ def scores(f: Followed, exposed: Sequence[float], strain: Array, friction: Array
     """(n,) the least level with which the rod is not better off than finite elements were.
 
     exposed: (n,) progress in waypoints at which their target came into view, inf: never; strain, friction:
-    (n,) the greatest until then.
+    (n,) the greatest until then. How far beyond a limit does not matter.
     """
-    out = np.full(len(exposed), np.inf)
+    out, hidden = np.full(len(exposed), np.inf), np.isinf(exposed)
+    strain = np.minimum(strain, f.scene.limits.strain)
+    friction = np.minimum(friction, f.limit)
     for level in LEVELS[::-1]:
         shown, rod_strain, rod_friction, _ = f.at(float(level))
-        at = np.where(shown == f.strain.shape[1], np.inf, shown + 1.0)
-        covers = (at >= np.asarray(exposed) - 1e-9) & (rod_strain >= strain) & (rod_friction >= friction)
+        covers = (rod_strain >= strain) & (rod_friction >= friction)
+        covers &= ~hidden | (shown == f.strain.shape[1])
         out = np.where(covers, level, out)
     return out

@@ -9,11 +9,12 @@ from __future__ import annotations
 import math
 import reprlib
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import replace
 from typing import Any
 
-from planners.certify.certificate import REASONS, Certificate
+from planners.certify.certificate import MESH_ERRORS, PATCH_SLIP, REASONS, Certificate
 from planners.certify.retraction import FRICTION_TOLERANCE, STRAIN_TOLERANCE, Retraction
+from planners.certify.robust import Robust, statement
 from retract_env.grasp import Grasp, JawPath
 from retract_env.scene import Scene
 
@@ -58,6 +59,11 @@ class Trial(Retraction):
             history=self.history(),
             peaks=self._peaks(),
             clearance_limit=limits.clearance,
+            margins={
+                "mesh": MESH_ERRORS.get(self.resolution),
+                "peaks": {"strain": STRAIN_TOLERANCE, "friction": FRICTION_TOLERANCE},
+                "patch_slip": PATCH_SLIP,
+            },
             frames=tuple(frames),
             section=self.physics.section,
         )
@@ -89,11 +95,13 @@ def certify(
     resolution: str = "fine",
     verify: bool = False,
     on_increment: Callable[[], None] = lambda: None,
+    robust: Robust | bool = False,
 ) -> Certificate:
     """Simulate one retraction and judge it.
 
     resolution: a name in RESOLUTIONS; verify: repeat it on a finer mesh in `VERIFIED_IN` times as many
-    increments and report the differences.
+    increments and report the differences; robust: say also how likely the plan fails where the scene is not
+    quite what it says, with `Robust()` or as asked.
     Raises ValueError for a grasp off the flap, a path that does not begin there, or an unknown resolution,
     and its kind MeshError where the flap with jaws there cannot be meshed.
     """
@@ -105,7 +113,23 @@ def certify(
     trial.squeeze()
     trial.move(on_increment=on_increment)
     certificate = trial.certificate()
-    return verified(certificate, scene, grasp, path) if verify else certificate
+    if verify:
+        certificate = verified(certificate, scene, grasp, path)
+    return stated(certificate, scene, grasp, path, robust, on_increment) if robust else certificate
+
+
+def stated(
+    certificate: Certificate,
+    scene: Scene,
+    grasp: Grasp,
+    path: JawPath,
+    asked: Robust | bool = True,
+    on_increment: Callable[[], None] = lambda: None,
+) -> Certificate:
+    """The certificate with the robust statement; asked: True for `Robust()`."""
+    asked = asked if isinstance(asked, Robust) else Robust()
+    said = statement(scene, grasp, path, certificate, asked, on_increment)
+    return replace(certificate, robust=said)
 
 
 def verified(certificate: Certificate, scene: Scene, grasp: Grasp, path: JawPath) -> Certificate:
@@ -125,8 +149,7 @@ def verified(certificate: Certificate, scene: Scene, grasp: Grasp, path: JawPath
         "required_friction_difference": certificate.required_friction - finer.required_friction,
         "end_difference": certificate.path["end"] - finer.path["end"],
     }
-    content = {f.name: getattr(certificate, f.name) for f in fields(certificate)}
-    return Certificate(**content | {"verification": differences})
+    return replace(certificate, verification=differences)
 
 
 def _ratio(a: float, b: float) -> float:

@@ -45,7 +45,8 @@ Indices = NDArray[np.int64]
 
 KIND = "swift"
 SAMPLES, SEED = 1024, 20_091_011
-"""Flaps as they may turn out to be on which a plan is to hold, drawn once and for all."""
+"""Flaps as they may turn out to be on which a plan is to hold, drawn once and for all, with more of what is at
+the ends of its range than the prior has: what holds on all of these fails on few of a far larger sample."""
 HARD = 128
 """Of these, so many are looked at again and again."""
 WORST, NEAR = 4, 0.02
@@ -55,12 +56,14 @@ ASIDE = (0.0, -0.1, 0.1)
 FIRMER = 1.5
 """Compression at first, over the one there."""
 ROUNDS, STEPS, FIRST_STEPS = 4, 10, 8
-RESERVE = 0.975
-"""Part of the friction limit that a plan may need: between poses, and on other flaps than the one that was
-judged, finite elements differ from the corrected rod by some hundredths."""
-UNJUDGED = 0.95
-"""Likewise before anything was judged."""
-CLEAR = 1e-3
+RESERVE, UNJUDGED = 0.03, 0.045
+"""Friction that a plan leaves over, also on flaps of the sample: as much as finite elements need more, in one
+case of a hundred, than the rod that is corrected by what they felt on the scene's own flap
+(`planners.certify.robust`); and as much as they need more than the rod as it is, in one of twenty
+(`retract_env.rod.distance`)."""
+EXACT = 0.005
+"""Likewise where all is known, as the judge has been heard."""
+CLEAR = 2e-3
 """Clearance asked for at the end, over the flap's length."""
 CORRECTIONS = 2
 """How often a plan is found again with what the judge felt."""
@@ -96,7 +99,7 @@ class Search:
         self.scene, self.by_force, self.on_step = scene, by_force, on_step
         self.own = Flaps(scene)
         exact = scene.uncertainty == Uncertainty.none()
-        self.sample = None if exact else Flaps(scene, draws(SAMPLES, SEED))
+        self.sample = None if exact else Flaps(scene, np.sin(np.pi / 2 * draws(SAMPLES, SEED)))
         self.correction = Correction.none(len(TIMES))
         self.reserve = UNJUDGED
         self.evaluations = 0
@@ -203,7 +206,8 @@ class Search:
         rod = self.own.follow(unknowns[None, PLACE] * length, poses, force=force)
         found = correction(self.scene, 1 + paths.INCREMENTS * TIMES, rod.felt[0], verdict.history)
         if found is not None and not rod.lost[0]:
-            self.correction, self.reserve = found, RESERVE
+            self.correction = found
+            self.reserve = EXACT if self.sample is None else RESERVE
 
 
 class Swift(Contestant):

@@ -152,7 +152,7 @@ class Program:
         own: bool = True,
         by_force: bool = False,
     ):
-        """reserve: part of each flap's friction limit that may be needed; clear: clearance asked for at the
+        """reserve: friction that is left over on each flap; clear: clearance asked for at the
         end, over the length; own: whether the first flap is the scene's own, whose target has to come into
         view at time 1; by_force: whether the jaws press with a force, whatever that takes."""
         self.by_force = by_force
@@ -184,7 +184,7 @@ class Program:
         strain, clearance = felt[..., STRAIN], felt[..., CLEAR] / length
         friction = self.correction.needed_friction(felt)
         normal, drag = felt[..., NORMAL], np.abs(felt[..., DRAG])
-        holds = (self.reserve * flaps.friction)[:, None, None, None]
+        holds = np.maximum(flaps.friction - self.reserve, 1e-3)[:, None, None, None]
         slip = (drag + (self.correction.friction[:, None] - holds) * normal) / (holds * self.force)
         in_view = clearance >= self.clear
         last = len(TIMES) - 1
