@@ -45,8 +45,8 @@ Indices = NDArray[np.int64]
 
 KIND = "swift"
 SAMPLES, SEED = 1024, 20_091_011
-"""Flaps as they may turn out to be on which a plan is to hold, drawn once and for all, with more of what is at
-the ends of its range than the prior has: what holds on all of these fails on few of a far larger sample."""
+"""Flaps as they may turn out to be on which a plan is to hold, drawn once and for all, with more of what is
+at the ends of its range than the prior has: what holds on all of these fails on few of a far larger one."""
 HARD = 128
 """Of these, so many are looked at again and again."""
 WORST, NEAR = 4, 0.02
