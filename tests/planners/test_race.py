@@ -17,7 +17,8 @@ from planners.certify import certify
 from planners.eased import InTurn
 from planners.effort import TooCostly
 from planners.paths import ctc
-from planners.search import PRUNING, Stop, Stopped, race, side_by_side
+from planners.search import PRUNING, race
+from planners.side_by_side import Stop, Stopped, side_by_side
 from retract_env.errors import Diverged, MeshError
 from retract_env.grasp import Grasp, JawPath
 from retract_env.scene import Scene
