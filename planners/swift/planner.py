@@ -45,10 +45,10 @@ Indices = NDArray[np.int64]
 
 KIND = "swift"
 SAMPLES, SEED = 1024, 20_091_011
-"""Flaps as they may turn out to be on which a plan is to hold, drawn once and for all, with more of what is
-at the ends of its range than the prior has: what holds on all of these fails on few of a far larger one."""
-HARD = 128
-"""Of these, so many are looked at again and again."""
+"""Flaps as they may turn out to be on which a plan is to hold, drawn once and for all, with more of the ends
+of each range than the prior has: what holds on all of these fails on few of a far larger sample."""
+HARD = 96
+"""Of these, so many that are nearest to failing are looked at again and again."""
 WORST, NEAR = 4, 0.02
 """How many of those that fail worst join the program at a time, and how near to failing they have to be."""
 ASIDE = (0.0, -0.1, 0.1)
@@ -67,24 +67,25 @@ EXACT = 0.005
 """Likewise where all is known, as the judge has been heard."""
 CLEAR = 2e-3
 """Clearance asked for at the end, over the flap's length."""
-CORRECTIONS = 2
-"""How often a plan is found again with what the judge felt."""
+CORRECTIONS = 3
+"""How often a plan is found again with what the judge felt; but for the first time only where it fails."""
 UNSURE = "unsure"
 """Reason of a candidate that breaks a limit on the rod, be it on one flap of the sample alone."""
-SAME = 0.01
-"""A plan whose strain would change by less than this part is not judged again."""
+PROMISES = 1.1
+"""A first plan from a further start is improved to the end if its strain is less than so many times the best
+one's."""
+SAME = 0.02
+"""A plan that holds and would strain less by not more than this part is not judged again."""
 
 
-@dataclass
+@dataclass(frozen=True)
 class Found:
     """A plan by the rod."""
 
     unknowns: Array
     strain: float
     violation: float
-    """the greatest of the scene's own flap and of the sample"""
-    failing: int
-    """of the sample"""
+    """the greatest on all flaps that were looked at"""
 
     @property
     def rank(self) -> tuple[bool, float]:
@@ -107,6 +108,7 @@ class Search:
         self.own = Flaps(scene)
         exact = scene.uncertainty == Uncertainty.none()
         self.sample = None if exact else Flaps(scene, np.sin(np.pi / 2 * draws(SAMPLES, SEED)))
+        self.hard = np.zeros(0, np.int64)
         self.correction = Correction.none(len(TIMES))
         self.reserve = UNJUDGED
         self.evaluations = 0
@@ -148,26 +150,25 @@ class Search:
         return u
 
     def ranked(self, seconds: float = 0.0) -> list[Found]:
-        """The best plans, as many as there are starts, the best first; that one is improved to the end.
+        """Plans, as many as there are starts, the best first; that one is improved to the end.
 
         seconds: for how long to search, from further starts once all of those are done; the search ends
         before that if another start is likely to take longer than what is left.
         """
         begun = perf_counter()
-        tried = [self._begin(u) for u in self.starts()]
-        count = len(tried)
-        each = (perf_counter() - begun) / count
-        tried.sort(key=lambda f: f.rank)
-        best = self._finish(tried[0])
-        tried = [min(best, tried[0], key=lambda f: f.rank), *tried[1:]]
+        starts = self.starts()
+        self._look_for_hard(starts[len(starts) // 2])
+        first = sorted((self._begin(u) for u in starts), key=lambda f: f.rank)
+        each = (perf_counter() - begun) / len(starts)
+        best, others = [self._finish(first[0])], first[1:]
         further = self.further_starts()
         while perf_counter() - begun + each < seconds:
             found = self._begin(next(further))
-            if found.rank < tried[-1].rank:
-                better = self._finish(found)
-                found = min(better, found, key=lambda f: f.rank)
-            tried = sorted([*tried, found], key=lambda f: f.rank)[:count]
-        return tried
+            if found.rank < (best[0].rank[0], PROMISES * best[0].rank[1]):
+                best = sorted([*best, self._finish(found)], key=lambda f: f.rank)
+            else:
+                others = sorted([*others, found], key=lambda f: f.rank)
+        return [*best, *others][: len(starts)]
 
     def _begin(self, unknowns: Array) -> Found:
         """A first plan from a start."""
@@ -179,7 +180,7 @@ class Search:
     def _finish(self, found: Found) -> Found:
         """A plan improved to the end."""
         self._tell("searching", found.unknowns)
-        better = self.improve(found.unknowns, radius=0.5)
+        better = self.finished(found)
         self._tell("done", better.unknowns, better)
         return better
 
@@ -196,6 +197,26 @@ class Search:
         if self.on_update is not None:
             self.on_update(self.tried)
 
+    def finished(self, found: Found) -> Found:
+        """A plan improved until it holds on the whole sample; or the best of those on the way."""
+        best: Found | None = None
+        for _ in range(ROUNDS):
+            found = self.improve(found.unknowns, radius=0.5)
+            whole = self.whole(found)
+            if best is None or whole.rank < best.rank:
+                best = whole
+            if whole.violation <= TOLERATED or whole.violation <= found.violation:
+                break
+            self._look_for_hard(found.unknowns)
+        assert best is not None
+        return best
+
+    def _look_for_hard(self, unknowns: Array) -> None:
+        """Add the flaps of the sample that are nearest to failing to those that are looked at."""
+        if self.sample is not None:
+            nearest = np.argsort(-self._excess(unknowns, self.sample), kind="stable")[:HARD]
+            self.hard = np.union1d(self.hard, nearest)
+
     def _program(self, flaps: Flaps, own: bool = True) -> Program:
         """own: whether the first of the flaps is the scene's own."""
         return Program(self.scene, flaps, self.reserve, CLEAR, self.correction, own, self.by_force)
@@ -203,19 +224,13 @@ class Search:
     def improve(
         self, unknowns: Array, steps: int = STEPS, rounds: int = ROUNDS, radius: float = 2.0
     ) -> Found:
-        """Solve on the scene's own flap and on those of the sample that fail worst, until none fails.
-
-        Between the rounds only the HARD flaps of the sample are looked at, those that were nearest to failing
-        at first and at the end of all rounds.
-        """
+        """Solve on the scene's own flap and on those hard ones of the sample that fail worst, until none of
+        them fails."""
         active = self.own
         chosen: set[int] = set()
-        hard, nearest = self._nearest(unknowns)
         for round_ in range(rounds):
             self.on_step()
-            if round_ and self.sample is not None:
-                nearest = hard[self._order(unknowns, self.sample.chosen(hard))]
-            new = [i for i in nearest.tolist() if i not in chosen][:WORST]
+            new = [i for i in self._failing(unknowns) if i not in chosen][:WORST]
             if round_ and not new:
                 break
             if new:
@@ -227,19 +242,13 @@ class Search:
             self.evaluations += program.evaluations
         return self.look(unknowns)
 
-    def _nearest(self, unknowns: Array) -> tuple[Indices, Indices]:
-        """The HARD flaps of the sample, and those of them that fail or nearly do, the worst first."""
+    def _failing(self, unknowns: Array) -> list[int]:
+        """Those of the hard flaps that fail or nearly do, the worst first."""
         if self.sample is None:
-            return np.zeros(0, np.int64), np.zeros(0, np.int64)
-        excess = self._excess(unknowns, self.sample)
-        hard = np.argsort(-excess, kind="stable")[:HARD]
-        return hard, hard[excess[hard] > -NEAR]
-
-    def _order(self, unknowns: Array, flaps: Flaps) -> Indices:
-        """Which of some flaps fail or nearly do, the worst first."""
-        excess = self._excess(unknowns, flaps)
+            return []
+        excess = self._excess(unknowns, self.sample.chosen(self.hard))
         order = np.argsort(-excess, kind="stable")
-        return order[excess[order] > -NEAR]
+        return [int(i) for i in self.hard[order[excess[order] > -NEAR]]]
 
     def _excess(self, unknowns: Array, flaps: Flaps) -> Array:
         program = self._program(flaps, own=False)
@@ -250,14 +259,21 @@ class Search:
         return jaw_path(self.scene, unknowns, KIND, self.by_force)
 
     def look(self, unknowns: Array) -> Found:
-        """What a plan comes to."""
+        """What a plan comes to on the scene's own flap and the hard ones."""
         program = self._program(self.own)
         own = program.standing(unknowns[None])[0]
-        excess = program.excess(own)
+        excess = float(program.excess(own)[0])
         if self.sample is not None:
-            excess = np.concatenate([excess, self._excess(unknowns, self.sample)])
-        failing = int((excess[1:] > TOLERATED).sum())
-        return Found(unknowns, program.strain(own), max(0.0, float(excess.max())), failing)
+            hard = self._excess(unknowns, self.sample.chosen(self.hard))
+            excess = max(excess, float(hard.max(initial=-1.0)))
+        return Found(unknowns, program.strain(own), max(0.0, excess))
+
+    def whole(self, found: Found) -> Found:
+        """The same on the whole sample."""
+        if self.sample is None:
+            return found
+        excess = float(self._excess(found.unknowns, self.sample).max())
+        return replace(found, violation=max(found.violation, excess))
 
     def hear(self, unknowns: Array, verdict: Verdict) -> None:
         """Correct the rod by what the judge felt along a plan."""
@@ -286,11 +302,13 @@ class Swift(Contestant):
         for found in self.ranked:
             current = found
             verdict = yield self.search.plan_of(current.unknowns)
-            for _ in range(CORRECTIONS):
+            for round_ in range(CORRECTIONS):
                 self.search.hear(current.unknowns, verdict)
-                better = self.search.improve(current.unknowns, radius=0.5)
-                now = self.search.look(current.unknowns)
+                now = self.search.whole(self.search.look(current.unknowns))
                 holds = verdict.reason == "ok" and now.violation <= TOLERATED
+                if round_ and holds:
+                    return None
+                better = self.search.finished(now)
                 if holds and better.strain > (1 - SAME) * now.strain:
                     return None
                 current = better

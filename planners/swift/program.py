@@ -274,7 +274,11 @@ class Program:
         lines = len(ROUGHNESS)
 
         def add(gradient: Array, slack: Array, column: int) -> None:
-            """gradient @ step - (greatest strain or violation) <= slack"""
+            """gradient @ step - (greatest strain or violation) <= slack, but for what no step can reach"""
+            reach = radius * np.abs(gradient).sum(-1)
+            least = float((-slack - reach).max()) if column == COUNT else 0.0
+            matters = reach - slack > least
+            gradient, slack = gradient[matters], slack[matters]
             block = np.zeros((len(slack), COUNT + 2 + lines))
             block[:, :COUNT], block[:, column] = gradient, -1.0
             rows.append(block)

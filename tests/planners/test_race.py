@@ -53,6 +53,9 @@ class FakeTrial:
         on_increment()
         self.reason = "pruned" if self.max_strain > bound() else reason
 
+    def history(self) -> dict[str, list[Any]]:
+        return {}
+
     def certificate(self) -> Any:
         assert self.reason == "ok"
         return SimpleNamespace(frames=tuple(self.frames), strain=self.max_strain)
