@@ -49,8 +49,8 @@ def equilibrate(
     """Equilibrium near u (n,) m, the forces (n,) N that hold the prescribed nodes, and the jaws' pose (4,).
 
     u: with the jaws at that pose. level: N, with which they press, at a separation near that of the pose;
-    None: they stay there; before: as of `Equilibrium.solve`. Newton's method for the separation, then secants.
-    Raises Diverged.
+    None: they stay there; before: as of `Equilibrium.solve`. Newton's method for the separation, then
+    secants. Raises Diverged.
     """
     u, force = equilibrium.solve(u, before)
     if level is None:
