@@ -1,7 +1,8 @@
 """The console command `retract`.
 
-Exit 0: certified, or done. 1: nothing certified, with the reasons. 2: bad input, one line on standard error.
-130: interrupted. What is heavy is imported inside the commands, so that `retract --help` answers at once.
+Exit 0: certified, or done. 1: nothing certified, with the reasons, or not robust where that was asked.
+2: bad input, one line on standard error. 130: interrupted. What is heavy is imported inside the commands, so
+that `retract --help` answers at once.
 """
 
 from __future__ import annotations
