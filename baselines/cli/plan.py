@@ -113,7 +113,8 @@ def plan_command(
         best = dataclasses.replace(best, certificate=certificate)
         drawn = None if painter is None else painter.begin(best, ["retraction.png", f"retraction.{film}"])
         report(best.certificate)
-        written = _write_plan(best, folder, drawn, clock)
+        with clock.phase("pictures and files"):
+            written = write_plan(best, folder, drawn)
         typer.echo("written: " + ", ".join(str(path) for path in written))
         typer.echo(clock.summary(best.timings))
         check_robust(best.certificate)
@@ -132,15 +133,13 @@ def of_scene(plan: Plan, scene: Scene) -> Plan:
     return dataclasses.replace(plan, scene=scene, certificate=certificate)
 
 
-def _write_plan(
-    plan: Plan, folder: Path, drawn: Callable[[], dict[str, bytes]] | None, clock: Clock
-) -> list[Path]:
+def write_plan(plan: Plan, folder: Path, drawn: Callable[[], dict[str, bytes]] | None = None) -> list[Path]:
     """Write plan, certificate, worst cases and pictures into the folder, all of them or none; returns their
     paths. Worst cases of an earlier plan go.
 
     drawn: waits for the pictures, None where none are wanted.
     """
-    with writing(folder), clock.phase("pictures and files"), ExitStack() as all_or_none:
+    with writing(folder), ExitStack() as all_or_none:
         paths = []
 
         def place(name: str) -> Path:

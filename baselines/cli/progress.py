@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Sequence
 from types import TracebackType
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+if TYPE_CHECKING:
+    from planners.base import Candidate
 
 TOLD_EVERY = 5.0
 """s between two lines, where there is no terminal."""
@@ -51,6 +56,13 @@ class Under:
         """So many flaps have been judged by finite elements, which is said where there are any."""
         with self._lock:
             self.done = f", {done} of {of} by finite elements" if of else ""
+            self._tell()
+
+    def candidates(self, candidates: Sequence[Candidate]) -> None:
+        """These have been tried, or are being tried."""
+        with self._lock:
+            done = sum(candidate.status == "done" for candidate in candidates)
+            self.done = f", {done} of {len(candidates)} candidates"
             self._tell()
 
     def _tell(self) -> None:
