@@ -35,7 +35,7 @@ FLOORS = {
         "physics", "task", "given", "rollout", "drawing", "env", "vector",
     ),
     "planners": (
-        "correction", "whatif", "certify", "paths", "base", "effort", "proposals", "search",
+        "side_by_side", "correction", "whatif", "certify", "paths", "base", "effort", "proposals", "search",
         "deform_closure", "eased", "swift", "light_grip", "elastica", "fem_gradient",
     ),
     "baselines": ("jobs", "pictures", "learning", "benchmark", "paper", "cli"),
