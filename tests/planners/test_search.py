@@ -179,8 +179,8 @@ def test_few_flaps_are_held_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
     most = 0
 
     class Counted(FemPhysics):
-        def __init__(self, *args: Any) -> None:
-            super().__init__(*args)
+        def __init__(self, *args: Any, **named: Any) -> None:
+            super().__init__(*args, **named)
             alive.add(self)
 
     def count(candidates: Sequence[Candidate]) -> None:
