@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,12 +11,11 @@ from typing import Any
 import pytest
 
 import planners
-import planners.certify as judge
 from baselines.cli import main
 from baselines.cli.compare import METHODS
 from baselines.pictures.comparison import Compared, comparison, comparison_figure
 from planners.base import NoPlan, Plan
-from planners.certify import Robust
+from planners.certify import Robust, stated
 from retract_env.scene import Scene, load_scene
 
 FEW = Robust(samples=700)
@@ -31,7 +31,7 @@ def compared(scene: Scene) -> list[Compared]:
     out = []
     for _, name, planner, grip in METHODS:
         plan = planners.plan(scene, planner, "coarse", grip=grip)
-        certificate = judge.stated(plan.certificate, scene, plan.grasp, plan.path, FEW)
+        certificate = stated(plan.certificate, scene, plan.grasp, plan.path, FEW)
         out.append(Compared(name, replace(plan, certificate=certificate)))
     return out
 
@@ -48,7 +48,7 @@ def quick(monkeypatch: pytest.MonkeyPatch, compared: list[Compared]) -> None:
         return found
 
     monkeypatch.setattr(planners, "plan", plan)
-    monkeypatch.setattr(judge, "Robust", lambda *_: FEW)
+    monkeypatch.setattr(sys.modules["planners.certify"], "Robust", lambda *_: FEW)
 
 
 @pytest.mark.usefixtures("quick")

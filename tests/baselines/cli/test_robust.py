@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,12 +12,12 @@ from typing import Any
 import pytest
 
 import planners
-import planners.certify as judge
 from baselines.cli import main
 from baselines.cli.robust import hurts, percent, told, worst_cases
 from baselines.cli.verdict import margins
 from planners.base import Plan, plan_from_json
 from planners.certify import Certificate, Robust
+from planners.certify import stated as stated_by
 from retract_env.scene import Scene, Uncertainty, load_scene
 
 FEW = Robust(samples=40, seed=3)
@@ -39,13 +40,15 @@ def plan(scene: Scene) -> Plan:
 
 @pytest.fixture(scope="module")
 def stated(plan: Plan) -> Certificate:
-    return judge.stated(plan.certificate, plan.scene, plan.grasp, plan.path, FEW)
+    return stated_by(plan.certificate, plan.scene, plan.grasp, plan.path, FEW)
 
 
 @pytest.fixture
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """The console asks for a small sample."""
-    monkeypatch.setattr(judge, "Robust", lambda *asked: Robust(*asked) if asked else FEW)
+    monkeypatch.setattr(
+        sys.modules["planners.certify"], "Robust", lambda *asked: Robust(*asked) if asked else FEW
+    )
 
 
 @pytest.fixture
@@ -127,7 +130,8 @@ def test_the_judges_own_margins_in_one_line(stated: Certificate) -> None:
 
 def test_worst_cases_are_plans_of_the_flaps_drawn(plan: Plan, stated: Certificate) -> None:
     cases = worst_cases(plan.scene, plan.grasp, plan.path, stated)
-    assert list(cases) == ["worst-1.json", "worst-2.json", "worst-3.json"]
+    # the jaws miss the thinnest flap altogether, which is no plan
+    assert list(cases) == ["worst-1.json", "worst-2.json"]
     for case in cases.values():
         there, grasp, path = plan_from_json(json.loads(json.dumps(case)))
         assert there.hash != plan.scene.hash
@@ -155,7 +159,7 @@ def test_a_statement_is_computed_again_as_it_was_made(
     check = ["certify", str(folder / "plan.json"), "--check", str(folder / "certificate.json")]
     assert main(check) == 1  # it says itself that it is not robust
     assert "computed again, all the same" in capsys.readouterr().out
-    better = saying(stated, bound=0.001, holds=True)
+    better = saying(stated, bound=0.001)
     (folder / "certificate.json").write_text(json.dumps(better.to_json()))
     assert main(check) == 1
     assert "not what the plan comes to: robust.bound = 0.001, recomputed 0." in capsys.readouterr().out
@@ -177,7 +181,7 @@ def test_plan_as_if_all_were_known_is_stated_for_the_scene_as_it_is(
     assert "not robust: " in capsys.readouterr().out
     assert json.loads((out / "certificate.json").read_text()) == stated.to_json()
     assert json.loads((out / "plan.json").read_text())["scene"] == scene.dump()
-    assert (out / "worst-3.json").exists()
+    assert (out / "worst-2.json").exists()
     assert main(command) == 0
     assert {file.name for file in out.iterdir()} == {"plan.json", "certificate.json"}
 
