@@ -107,7 +107,7 @@ def worst_cases(scene: Scene, grasp: Grasp, path: JawPath, certificate: Certific
     from planners.certify.robust import drawn
     from retract_env.scenarios import scenario
 
-    files = {}
+    files: dict[str, Any] = {}
     for case in certificate.robust["worst"]:
         there = scenario(scene, grasp, path, drawn(case))
         if there is not None:

@@ -127,7 +127,7 @@ def comparison_figure(scene: Scene, compared: Sequence[Compared]) -> Figure:
     rows = (
         ("Strain of the worst 1 % of the tissue", "max_strain", limit, ".3f"),
         ("Friction needed to hold", "required_friction", scene.limits.friction, ".2f"),
-        ("May fail in at most so many of 100", "bound", asked, ".2g"),
+        ("May fail in at most so many of 100", "bound", asked, ".3g"),
     )
     for k, (said, name, allowed, form) in enumerate(rows):
         axes = panel(f"bars {k}", EDGE + k * (each + gap) + names, 0.4, each - names, BARS)
@@ -138,7 +138,7 @@ def comparison_figure(scene: Scene, compared: Sequence[Compared]) -> Figure:
 def _of(one: Compared, name: str) -> float:
     """A number of the certificate, or the bound, %; nan where there is none."""
     if name == "bound":
-        return 100 * one.bound
+        return one.bound if math.isnan(one.bound) else math.ceil(1e4 * one.bound - 1e-9) / 100  # "at most"
     return math.nan if one.plan is None else float(getattr(one.plan.certificate, name))
 
 

@@ -61,7 +61,7 @@ def test_the_table_the_plans_and_the_pictures(
     for (folder, name, *_), one in zip(METHODS, compared, strict=True):
         assert one.plan is not None
         row = next(line for line in text.splitlines() if line.startswith(name))
-        assert f"{one.plan.certificate.max_strain:.3f}" in row and one.held in row
+        assert f"{one.plan.certificate.max_strain:.3f}" in row and one.held in row and "0 / 700" in row
         written = json.loads((out / folder / "certificate.json").read_text())
         assert written["robust"]["samples"] == FEW.samples
         assert (out / folder / "worst-1.json").exists()
