@@ -300,11 +300,12 @@ class Swift(Contestant):
         """The best plan, corrected; then the runner-up, should the judge refuse it."""
         self.search.on_step = on_increment
         for found in self.ranked:
-            current = found
+            current, held = found, None
             verdict = yield self.search.plan_of(current.unknowns)
             for round_ in range(CORRECTIONS):
                 self.search.hear(current.unknowns, verdict)
                 now = self.search.whole(self.search.look(current.unknowns))
+                held = current if verdict.reason == "ok" else held
                 holds = verdict.reason == "ok" and now.violation <= TOLERATED
                 if round_ and holds:
                     return None
@@ -313,6 +314,8 @@ class Swift(Contestant):
                     return None
                 current = better
                 verdict = yield self.search.plan_of(current.unknowns)
+            if verdict.reason != "ok" and held is not None:
+                verdict = yield self.search.plan_of(held.unknowns)
             if verdict.reason == "ok":
                 return None
         return None
