@@ -209,7 +209,7 @@ def statement(
     resolution = certificate.mesh["resolution"]
     in_question = between[:MOST_JUDGED].tolist()
     with ThreadPoolExecutor(cores()) as pool:
-        said = pool.map(lambda i: _judged(scene, grasp, path, z[i], resolution, on_increment), in_question)
+        said = pool.map(lambda i: outcome(scene, grasp, path, z[i], resolution, on_increment), in_question)
         judged.update(zip(in_question, said, strict=True))
     for i in np.flatnonzero(fails).tolist():
         by_rod[str(reason[i])] += 1
@@ -242,15 +242,15 @@ def statement(
     }
 
 
-def _judged(
+def outcome(
     scene: Scene,
     grasp: Grasp,
     path: JawPath,
     z: Array,
     resolution: str,
-    on_increment: Callable[[], None],
+    on_increment: Callable[[], None] = lambda: None,
 ) -> str:
-    """What becomes of one draw on finite elements."""
+    """What becomes of a plan on one draw (UNKNOWNS,), by finite elements."""
     there = scenario(scene, grasp, path, z)
     if there is None:
         return "release"
