@@ -53,10 +53,11 @@ def draw(rows: Sequence[Row], standard: Sequence[str]) -> Figure:
     main.set_title(f"{where}: median strain, and part of all draws that fail", fontsize=11)
     shown = {row["method"] for row in rows}
     handles = [_handle(*look) for method, look in LOOKS.items() if method in shown]
-    handles += [
-        Line2D([], [], color=VALUE, linewidth=2, label="frontier: swift, planned for\n0 to 1.25 times the prior"),
-        Line2D([], [], color=LIMIT, linewidth=1.2, label="CTC and circular, by compression"),
-    ]  # fmt: skip
+    for words, colour, width in (
+        ("frontier: swift, planned for\n0 to 1.25 times the prior", VALUE, 2.0),
+        ("CTC (circular: green), closed by\n0.2 to 1.6 times Eq. 5", LIMIT, 1.2),
+    ):
+        handles.append(Line2D([], [], color=colour, linewidth=width, label=words))
     main.legend(handles=handles, frameon=False, loc="upper right", fontsize=8.5)
     main.text(
         0.015, 0.06, "better: less strain,\nfewer failures", transform=main.transAxes, color=GREY, fontsize=9,
@@ -103,10 +104,10 @@ def _panel(axes: Axes, rows: Sequence[Row], several: bool) -> None:
     axes.set_xlim(0.0, max((r["max_strain"] for r in rows if r["reason"] == "ok"), default=0.5) * 1.1)
     axes.axhspan(0.75 * NONE, 1 - ENOUGH, facecolor=GROUND, zorder=0)
     if several:
-        right = axes.get_xlim()[1]
         axes.text(
-            0.995 * right, (1 - ENOUGH) * 0.93, "99 % survive", ha="right", va="top", color=INK, fontsize=8.5
-        )
+            0.99, (1 - ENOUGH) * 0.93, "99 % survive", transform=axes.get_yaxis_transform(), ha="right",
+            va="top", color=INK, fontsize=8.5,
+        )  # fmt: skip
     for method, colour in LINES.items():
         line = _frontier(rows) if method == "swift" else _ladder(rows, method)
         if len(line) > 1:
