@@ -107,7 +107,7 @@ def measure(physics: str, resolution: str, name: str, seconds: float) -> tuple[T
 def play(name: str) -> None:
     """Play the planner's best plan of one scene on each physics, a line each."""
     scene = load_scene(name)
-    best = plan(scene, resolution="coarse", workers=1)
+    best = plan(scene, "ctc", "coarse", workers=1)
     for physics, resolution in PLAYED:
         env = TissueRetractEnv(physics, scene=scene, resolution=resolution)
         played = rollout(env, PathPolicy.of(best), seed=0)

@@ -56,7 +56,7 @@ def plan_of(scene: Scene, kind: str, rng: np.random.Generator) -> tuple[Grasp, J
     tissue, line = scene.tissue, scene.line_of_sight
     if kind.startswith("swift"):
         search = Search(scene, kind == "swift_force")
-        return search.plan_of(search.ranked()[0])
+        return search.plan_of(search.ranked()[0].unknowns)
     if kind == "ctc":
         stable = SpringModel(tissue).stable_grasps(scene.limits.strain, scene.jaws.width)
         chosen = stable[int(rng.integers(len(stable)))]

@@ -79,7 +79,7 @@ def planned(name: str, pruning: str, workers: int) -> Plan | NoPlan:
     told = partial(generate_and_test, pruning=pruning)
     with patch("planners.generate_and_test", told):
         try:
-            return plan(load_scene(name), workers=workers)
+            return plan(load_scene(name), "ctc", workers=workers)
         except NoPlan as none:
             return none
 

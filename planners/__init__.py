@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from difflib import get_close_matches
 from functools import partial
+from inspect import signature
+from typing import Any
 
 from planners.base import Candidate, Contestant, NoPlan, Plan, Planner
 from planners.certify import Certificate, certify
@@ -19,7 +21,7 @@ from planners.swift.planner import plan_swift
 from retract_env.grasp import Grasp, JawPath
 from retract_env.scene import Scene
 
-__all__ = ["PLANNERS", "Candidate", "Certificate", "NoPlan", "Plan", "certify", "plan"]
+__all__ = ["PLANNERS", "Candidate", "Certificate", "NoPlan", "Plan", "asked_of", "certify", "plan"]
 
 
 Grasps = Callable[[Scene], Iterable[Grasp]]
@@ -74,21 +76,61 @@ PLANNERS: dict[str, Planner] = {
 }
 
 
+GRIPS = ("position", "force")
+"""What jaws may be closed by."""
+LONGEST = 86_400.0
+"""s, of a search."""
+
+
 def plan(
     scene: Scene,
-    planner: str = "ctc",
+    planner: str = "swift",
     resolution: str = "fine",
     workers: int | None = None,
     on_update: OnUpdate | None = None,
+    *,
+    grip: str = "position",
+    time: float | None = None,
 ) -> Plan:
     """Find a retraction that meets all three objectives, certified.
 
     planner: a name in PLANNERS; resolution: of the finite elements that certify; workers: candidates side by
-    side, one a core by default. on_update is called, from the thread that works, whenever a candidate
-    changed. Raises NoPlan, with what was tried, where nothing is certified; ValueError for an unknown name.
+    side, one a core by default; grip: one of GRIPS, by what the jaws are closed; time: s that a search may
+    take, for planners that go on searching, as long as their first search takes by default. on_update is
+    called, from the thread that works, whenever a candidate changed. Raises NoPlan, with what was tried,
+    where nothing is certified; ValueError, one line, for an unknown name, or what that planner does not take.
     """
+    asked = asked_of(planner, grip, time)
+    return PLANNERS[planner](scene, resolution=resolution, workers=workers, on_update=on_update, **asked)
+
+
+def asked_of(planner: str, grip: str = "position", time: float | None = None) -> dict[str, Any]:
+    """What else a planner's function is given. Raises ValueError as `plan`."""
     if planner not in PLANNERS:
         close = get_close_matches(planner, PLANNERS, 1)
         hint = f", did you mean {close[0]!r}?" if close else ""
         raise ValueError(f"planner = {planner!r}, allowed {', '.join(PLANNERS)}{hint}")
-    return PLANNERS[planner](scene, resolution=resolution, workers=workers, on_update=on_update)
+    if grip not in GRIPS:
+        raise ValueError(f"grip = {grip!r}, allowed {', '.join(GRIPS)}")
+    if time is not None and not 0 < time <= LONGEST:
+        raise ValueError(f"time = {time:g} s, allowed (0, {LONGEST:g}] s")
+    asked: dict[str, Any] = {}
+    if grip != "position":
+        _check_takes(planner, "grip", repr(grip), "position")
+        asked["grip"] = grip
+    if time is not None:
+        _check_takes(planner, "time", f"{time:g} s", "none")
+        asked["time"] = time
+    return asked
+
+
+def _takes(planner: str, name: str) -> bool:
+    """Whether a planner's function has a parameter of that name."""
+    return name in signature(PLANNERS[planner]).parameters
+
+
+def _check_takes(planner: str, name: str, value: str, allowed: str) -> None:
+    """Raise ValueError where a planner does not take what it is given."""
+    if not _takes(planner, name):
+        able = ", ".join(other for other in PLANNERS if _takes(other, name))
+        raise ValueError(f"{name} = {value}, allowed {allowed} with planner {planner!r}; any with {able}")

@@ -15,7 +15,7 @@ from retract_env.mesh import RESOLUTIONS
 from retract_env.scene import Scene
 
 PROMISING = "promising"
-"""Reason of a candidate that keeps all limits, on a mesh that is too coarse for a certificate."""
+"""Reason of a candidate that keeps all limits, on a rod or on a mesh that is too coarse for a certificate."""
 TOO_COSTLY = "too costly"
 """Reason of a candidate that was given up because it took too much work."""
 
@@ -28,7 +28,7 @@ class Candidate:
     grasp: Grasp
     path: JawPath
     status: str = "waiting"
-    """waiting, squeezing, squeezed, moving, done"""
+    """waiting, searching, squeezing, squeezed, moving, done"""
     reason: str | None = None
     """why it ended: a certificate's reason, "pruned", "unmeshable", TOO_COSTLY, PROMISING, or in a planner's
     own words; None while under way"""

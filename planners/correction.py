@@ -114,9 +114,8 @@ def correction(
     # the tissue is pressed down onto the lower jaw, and drags both back
     normal = np.einsum("nji,ni->nj", reactions, axis) * [-1.0, 1.0]
     drag = -np.einsum("nji,ni->nj", reactions, along)
-    strain = greatest(at, of("strain")) / greatest(progress, felt[:, STRAIN])
     found = Correction(
-        strain,
+        there(of("strain")) / felt[:, STRAIN],
         there(normal) / felt[:, NORMAL],
         there(drag) - felt[:, DRAG],
         np.zeros(len(progress)),
@@ -124,10 +123,12 @@ def correction(
     )
     for values in found.__dict__.values():
         values[reached:] = values[reached - 1]
-    needed = np.minimum(found.needed_friction(found.apply(felt)), MOST_FRICTION)
+    told = found.apply(felt)
+    more = greatest(at, of("strain")) / greatest(progress, told[:, STRAIN])
+    needed = np.minimum(found.needed_friction(told), MOST_FRICTION)
     fine = greatest(at, np.minimum(of("friction").max(-1), MOST_FRICTION))
     between = np.maximum(fine - greatest(progress, needed), 0.0)
-    between[reached:] = 0.0
-    found = replace(found, friction=between)
+    more[reached:], between[reached:] = 1.0, 0.0
+    found = replace(found, strain=found.strain * np.maximum(more, 1.0), friction=between)
     sound = all(np.isfinite(v).all() for v in found.__dict__.values()) and (found.normal > 0).all()
     return found if sound else None

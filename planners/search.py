@@ -18,13 +18,12 @@ import math
 import threading
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
-from typing import TypeVar
+from collections.abc import Callable, Sequence
 
 from planners.base import TOO_COSTLY, Candidate, Contestant, NoPlan, Plan, Verdict, verdict_of
 from planners.certify import Certificate, Trial
 from planners.effort import TooCostly, within_budget
+from planners.side_by_side import Stop, side_by_side
 from retract_env.errors import Diverged, MeshError
 from retract_env.grasp import Grasp, JawPath
 from retract_env.mesh import RESOLUTIONS
@@ -33,8 +32,6 @@ from retract_env.threads import cores
 
 PRUNING = ("squeeze", "bound", "none")
 OnUpdate = Callable[[Sequence[Candidate]], None]
-Item = TypeVar("Item")
-Result = TypeVar("Result")
 
 
 def generate_and_test(
@@ -93,48 +90,6 @@ def race(
         raise NoPlan(candidates)
     timings = {**under_way.seconds, "total": time.perf_counter() - start}
     return Plan(scene, planner, best.grasp, best.path, best.certificate, candidates, timings)
-
-
-# --- Threads that end together
-
-
-class Stopped(Exception):
-    """Another thread broke off, so this one ends too."""
-
-
-class Stop:
-    """Called at every increment of whatever goes on beside other work; raises Stopped once that broke off."""
-
-    def __init__(self) -> None:
-        self.now = False
-
-    def __call__(self) -> None:
-        if self.now:
-            raise Stopped
-
-
-def side_by_side(
-    work: Callable[[Item], Result], items: Iterable[Item], workers: int, stop: Stop
-) -> list[Result]:
-    """work of every item, `workers` at a time, each in a thread; results in the order of the items.
-
-    Where one raises, or an interrupt reaches the thread that waits, all others end at their next call of
-    `stop`; then that first exception is raised.
-    """
-    futures: list[Future[Result]] = []
-    with ThreadPoolExecutor(max_workers=workers) as pool:
-        try:
-            futures = [pool.submit(work, item) for item in items]
-            done, _ = wait(futures, return_when=FIRST_EXCEPTION)
-            failed = [f for f in futures if f in done and f.exception() is not None]
-            # who stopped because of another's exception has nothing to say
-            for future in sorted(failed, key=lambda f: isinstance(f.exception(), Stopped)):
-                future.result()
-        except BaseException:
-            stop.now = True
-            pool.shutdown(wait=True, cancel_futures=True)
-            raise
-    return [future.result() for future in futures]
 
 
 # --- The race

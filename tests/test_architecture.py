@@ -31,12 +31,12 @@ LONGEST_FILE = 400
 FLOORS = {
     "retract_env": (
         "errors", "threads", "compilation", "config", "objectives", "grasp", "scene", "mesh", "spring", "fem",
-        "rod",
+        "rod", "scenarios",
         "physics", "task", "given", "rollout", "drawing", "env", "vector",
     ),
     "planners": (
-        "certify", "paths", "base", "effort", "proposals", "search", "deform_closure", "light_grip", "eased",
-        "elastica", "fem_gradient",
+        "side_by_side", "correction", "whatif", "certify", "paths", "base", "effort", "proposals", "search",
+        "deform_closure", "eased", "swift", "light_grip", "elastica", "fem_gradient",
     ),
     "baselines": ("jobs", "pictures", "learning", "benchmark", "paper", "cli"),
 }  # fmt: skip

@@ -1,7 +1,8 @@
 """The console command `retract`.
 
-Exit 0: certified, or done. 1: nothing certified, with the reasons. 2: bad input, one line on standard error.
-130: interrupted. What is heavy is imported inside the commands, so that `retract --help` answers at once.
+Exit 0: certified, or done. 1: nothing certified, with the reasons, or not robust where that was asked.
+2: bad input, one line on standard error. 130: interrupted. What is heavy is imported inside the commands, so
+that `retract --help` answers at once.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import typer
 
 from baselines.cli.benchmark import benchmark_command
 from baselines.cli.certify import certify_command
+from baselines.cli.compare import compare_command
 from baselines.cli.console import tell_error
 from baselines.cli.demos import demos_command
 from baselines.cli.evaluate import evaluate_command
@@ -32,6 +34,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.command("plan")(plan_command)
+app.command("compare")(compare_command)
 app.command("certify")(certify_command)
 app.command("reproduce")(reproduce_command)
 app.command("demos")(demos_command)

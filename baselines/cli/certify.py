@@ -17,11 +17,12 @@ from baselines.cli.console import (
     usable_folder,
     writing,
 )
-from baselines.cli.verdict import Clock, Resolution, VerifyOption, report
+from baselines.cli.robust import RobustOption, stated, worst_cases
+from baselines.cli.verdict import Clock, Resolution, VerifyOption, check_robust, report
 from baselines.jobs.files import write_json, written_whole
 
 if TYPE_CHECKING:
-    from planners.certify import Certificate
+    from planners.certify import Certificate, Robust
     from retract_env.grasp import Grasp, JawPath
     from retract_env.scene import Scene
 
@@ -38,7 +39,10 @@ def certify_command(
         Resolution | None, typer.Option(help="Mesh of the finite elements; `fine` if not given.")
     ] = None,
     verify: VerifyOption = False,
-    out: Annotated[Path | None, typer.Option(help="File for the certificate, in JSON.")] = None,
+    robust: RobustOption = False,
+    out: Annotated[
+        Path | None, typer.Option(help="File for the certificate, in JSON; worst cases are put beside it.")
+    ] = None,
     check: Annotated[
         Path | None,
         typer.Option(
@@ -50,32 +54,64 @@ def certify_command(
     """Simulate the retraction of a plan and judge it."""
     clock = Clock()
     with exit_codes(), ExitStack() as stack:
-        if check is not None and (out is not None or verify or resolution is not None):
-            raise BadInput("--check: not with --out, --verify or --resolution, the certificate has its own")
+        if check is not None and (out is not None or verify or robust or resolution is not None):
+            raise BadInput(
+                "--check: not with --out, --verify, --robust or --resolution, the certificate has its own"
+            )
         with clock.phase("imports"):
             import planners
+            from baselines.cli.progress import Under
             from retract_env.errors import MeshError
         scene, grasp, path = _read_plan(plan_file)
         said = None if check is None else _read_certificate(check)
         if out is not None:
             stack.enter_context(usable_folder(out.parent))
             check_no_folder(out)
-        announce_compilation()
-        with clock.phase("simulation"):
+        asked: Robust | bool = robust if said is None else _asked(str(check), said)
+        announce_compilation("fem", *(["planning"] if asked else []))
+        with clock.phase("simulation"), Under("simulation") as under:
             try:
                 mesh = resolution or "fine" if said is None else said.mesh["resolution"]
                 verify = verify if said is None else said.verification is not None
-                certificate = planners.certify(scene, grasp, path, resolution=mesh, verify=verify)
+                certificate = planners.certify(
+                    scene, grasp, path, resolution=mesh, verify=verify, on_increment=under.step
+                )
             except MeshError as problem:
                 raise NotCertified(f"not certified: {problem}") from None
+        if asked and (said is not None or certificate.certified):
+            with clock.phase("robust statement"):
+                certificate = stated(certificate, scene, grasp, path, asked)
         if out is not None:
-            with writing(out), written_whole(out) as temporary:
-                write_json(temporary, certificate.to_json())
-            typer.echo(f"written: {out}")
+            written = _write(out, scene, grasp, path, certificate)
+            typer.echo("written: " + ", ".join(str(file) for file in written))
         typer.echo(clock.summary())
         if said is not None:
             _compare(str(check), said, certificate)
         report(certificate)
+        check_robust(certificate)
+
+
+def _write(out: Path, scene: Scene, grasp: Grasp, path: JawPath, certificate: Certificate) -> list[Path]:
+    """Write the certificate, and the worst cases beside it, all or none; returns their paths."""
+    contents = {out: certificate.to_json()}
+    for name, case in worst_cases(scene, grasp, path, certificate).items():
+        contents[out.parent / name] = case
+    with writing(out), ExitStack() as all_or_none:
+        for file, content in contents.items():
+            write_json(all_or_none.enter_context(written_whole(file)), content)
+    return list(contents)
+
+
+def _asked(file: str, said: Certificate) -> Robust | bool:
+    """What a certificate's robust statement was asked for, False where it has none. Raises BadInput."""
+    from planners.certify import Robust
+
+    if said.robust is None:
+        return False
+    try:
+        return Robust(*(said.robust[name] for name in ("eps", "beta", "samples", "seed")))
+    except (KeyError, TypeError, ValueError) as problem:
+        raise BadInput(f"{file}: certificate.robust: {problem}") from None
 
 
 def _compare(file: str, said: Certificate, found: Certificate) -> None:

@@ -50,7 +50,7 @@ def writing(path: Path) -> Iterator[None]:
         raise BadInput(f"cannot write {problem.filename or path}: {why(problem)}") from None
 
 
-COMPILATION = {"finite-element": 20.0, "rod": 100.0}
+COMPILATION = {"finite-element": 20.0, "rod": 100.0, "planning": 90.0}
 """s that the first run usually compiles these kernels for, on the two cores of a virtual machine."""
 TOLD_EVERY = 5.0
 """s between two lines about it, where there is no terminal to draw a bar in."""
@@ -59,13 +59,19 @@ TOLD_EVERY = 5.0
 def announce_compilation(*physics: str) -> None:
     """Have the kernels compiled if they never were, and show it: it takes long enough that a user wonders.
 
-    physics: what the command computes with, the finite elements if not given; each needs kernels of its own.
+    physics: what the command computes with, the finite elements if not given; each needs kernels of its own,
+    and so does "planning", retractions on rods.
     """
     import retract_env.fem
+    from retract_env.compilation import is_cached
 
     for name in physics or ("fem",):
-        if name == "rod":
-            from retract_env.compilation import is_cached
+        if name == "planning":
+            from retract_env.rod import follow
+
+            if not is_cached(follow._follow):
+                _compile("planning", _use_every_kernel_of_planning)
+        elif name == "rod":
             from retract_env.task.batch import advance_range
 
             if not is_cached(advance_range):
@@ -138,6 +144,18 @@ def _use_every_kernel_of_rods() -> None:
             step(np.zeros(space.shape))
     envs.close()
     env.close()
+
+
+def _use_every_kernel_of_planning() -> None:
+    """One path on one flap."""
+    from planners.paths import ctc
+    from planners.whatif import Flaps
+    from retract_env.scene import load_scene
+    from retract_env.spring import SpringModel
+
+    scene = load_scene("ten_veins")
+    grasp = SpringModel(scene.tissue).stable_grasps()[0]
+    Flaps(scene).follow([grasp.x], ctc(scene, grasp).poses[1:3][None])
 
 
 def why(problem: OSError) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import importlib.util
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -20,19 +20,36 @@ from baselines.cli.console import (
     usable_folder,
     writing,
 )
-from baselines.cli.verdict import Clock, ResolutionOption, VerifyOption, report
+from baselines.cli.robust import RobustOption, old_worst_cases, stated, worst_cases
+from baselines.cli.verdict import Clock, ResolutionOption, VerifyOption, check_robust, report
 from baselines.jobs.files import write_json, written_whole
 from baselines.pictures.painter import Painter
 
 if TYPE_CHECKING:
     from planners.base import Plan
+    from retract_env.scene import Scene
 
 
 def plan_command(
     scene_name: Annotated[
         str, typer.Argument(metavar="SCENE", help="A scene in YAML, or the name of a shipped one: ten_veins.")
     ],
-    planner: Annotated[str, typer.Option(help="The planner's name.")] = "ctc",
+    planner: Annotated[
+        str, typer.Option(help="The planner's name; `ctc` is the reference, that of 2009.")
+    ] = "swift",
+    grip: Annotated[
+        Literal["position", "force"], typer.Option(help="What the jaws are closed by.")
+    ] = "position",
+    time: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SECONDS", help="Search for so long; as long as a first search takes if not given."
+        ),
+    ] = None,
+    robust: RobustOption = False,
+    known: Annotated[
+        bool, typer.Option("--known", help="Plan as if nothing of the scene were unknown.")
+    ] = False,
     out: Annotated[
         Path, typer.Option(help="Folder for plan.json, certificate.json and the pictures.")
     ] = Path("out"),
@@ -63,12 +80,18 @@ def plan_command(
             import planners
             from baselines.cli.candidates import CandidateTable
             from planners.base import NoPlan
-        _check_planner(planner, planners.PLANNERS)
-        announce_compilation()
+        _check_asked(planner, grip, time)
+        announce_compilation("fem", *(["planning"] if robust or planner == "swift" else []))
         with clock.phase("planning"), CandidateTable() as table:
             try:
                 best = planners.plan(
-                    scene, planner=planner, resolution=resolution, workers=workers, on_update=table.update
+                    as_if_known(scene) if known else scene,
+                    planner=planner,
+                    resolution=resolution,
+                    workers=workers,
+                    on_update=table.update,
+                    grip=grip,
+                    time=time,
                 )
             except NoPlan as none:
                 table.update(none.candidates)
@@ -77,27 +100,46 @@ def plan_command(
                 raise BadInput(str(missing)) from None
             table.update(best.candidates)
             table.choose(best.grasp)
+        best = of_scene(best, scene)
+        certificate = best.certificate
         if verify:
             from planners.certify import verified
 
             with clock.phase("verification"):
-                certificate = verified(best.certificate, scene, best.grasp, best.path)
-            best = dataclasses.replace(best, certificate=certificate)
+                certificate = verified(certificate, scene, best.grasp, best.path)
+        if robust:
+            with clock.phase("robust statement"):
+                certificate = stated(certificate, scene, best.grasp, best.path)
+        best = dataclasses.replace(best, certificate=certificate)
         drawn = None if painter is None else painter.begin(best, ["retraction.png", f"retraction.{film}"])
         report(best.certificate)
-        written = _write_plan(best, folder, drawn, clock)
+        with clock.phase("pictures and files"):
+            written = write_plan(best, folder, drawn)
         typer.echo("written: " + ", ".join(str(path) for path in written))
         typer.echo(clock.summary(best.timings))
+        check_robust(best.certificate)
 
 
-def _write_plan(
-    plan: Plan, folder: Path, drawn: Callable[[], dict[str, bytes]] | None, clock: Clock
-) -> list[Path]:
-    """Write plan, certificate and pictures into the folder, all of them or none; returns their paths.
+def as_if_known(scene: Scene) -> Scene:
+    """The scene as if nothing of it were unknown."""
+    from retract_env.scene import Uncertainty
+
+    return scene.model_copy(update={"uncertainty": Uncertainty.none()})
+
+
+def of_scene(plan: Plan, scene: Scene) -> Plan:
+    """A plan as one for a scene that differs in what is unknown alone: the judge simulates what is said."""
+    certificate = dataclasses.replace(plan.certificate, scene_hash=scene.hash)
+    return dataclasses.replace(plan, scene=scene, certificate=certificate)
+
+
+def write_plan(plan: Plan, folder: Path, drawn: Callable[[], dict[str, bytes]] | None = None) -> list[Path]:
+    """Write plan, certificate, worst cases and pictures into the folder, all of them or none; returns their
+    paths. Worst cases of an earlier plan go.
 
     drawn: waits for the pictures, None where none are wanted.
     """
-    with writing(folder), clock.phase("pictures and files"), ExitStack() as all_or_none:
+    with writing(folder), ExitStack() as all_or_none:
         paths = []
 
         def place(name: str) -> Path:
@@ -106,13 +148,25 @@ def _write_plan(
 
         write_json(place("plan.json"), plan.to_json())
         write_json(place("certificate.json"), plan.certificate.to_json())
+        for name, case in worst_cases(plan.scene, plan.grasp, plan.path, plan.certificate).items():
+            write_json(place(name), case)
         for name, data in ({} if drawn is None else drawn()).items():
             place(name).write_bytes(data)
+    for old in old_worst_cases(folder):
+        if old not in paths:
+            old.unlink()
     return paths
 
 
-def _check_planner(name: str, known: Collection[str]) -> None:
-    if name not in known:
-        close = difflib.get_close_matches(name, known, n=1)
+def _check_asked(planner: str, grip: str, time: float | None) -> None:
+    """Raise BadInput for an unknown planner, or what that planner does not take."""
+    import planners
+
+    if planner not in planners.PLANNERS:
+        close = difflib.get_close_matches(planner, planners.PLANNERS, n=1)
         hint = f"; did you mean {close[0]}?" if close else ""
-        raise BadInput(f"unknown planner {name!r}, allowed {', '.join(sorted(known))}{hint}")
+        raise BadInput(f"unknown planner {planner!r}, allowed {', '.join(sorted(planners.PLANNERS))}{hint}")
+    try:
+        planners.asked_of(planner, grip, time)
+    except ValueError as problem:
+        raise BadInput(f"--{problem}") from None

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from baselines.cli.console import NotCertified
+from baselines.cli.robust import told
+from baselines.cli.words import FAILS
 
 if TYPE_CHECKING:
     from planners.certify import Certificate
@@ -29,15 +31,7 @@ VerifyOption = Annotated[
 def describe(certificate: Certificate) -> str:
     """The verdict of a certificate and its margins, on one line."""
     c = certificate
-    verdict = {
-        "ok": "certified",
-        "not_visible": "not certified: tissue stays below the line of sight",
-        "strain": "not certified: too much strain",
-        "slip": "not certified: a jaw slips",
-        "release": "not certified: a jaw lets go",
-        "contact": "not certified: tissue meets itself or the block that holds the fixed end",
-        "diverged": "not certified: no equilibrium was found",
-    }.get(c.reason, f"not certified: {c.reason}")
+    verdict = "certified" if c.reason == "ok" else f"not certified: {FAILS.get(c.reason, c.reason)}"
     facts = (
         f"grasp {c.grasp['x'] * MM:.2f} mm",
         f"force {c.grasp['force'] * MN:.1f} mN"
@@ -50,13 +44,40 @@ def describe(certificate: Certificate) -> str:
     return f"{verdict}; {', '.join(facts)}"
 
 
+def margins(certificate: Certificate) -> str:
+    """By how much the judge itself may be off, on one line; "" where a certificate does not say."""
+    said = certificate.margins
+    if said is None:
+        return ""
+    mesh, peaks = said["mesh"], said["peaks"]
+    between = f"strain {100 * peaks['strain']:.2g} % and friction {peaks['friction']:g} between increments"
+    meshed = (
+        "this mesh was not compared with another code"
+        if mesh is None
+        else f"strain {100 * mesh['strain']:.2g} % and friction {mesh['friction']:g} for the mesh"
+    )
+    creep = f"{100 * said['patch_slip']:.2g} % more friction where tissue creeps under the jaws"
+    return f"the judge may be off by: {meshed}; {between}; {creep}"
+
+
 def report(certificate: Certificate) -> None:
-    """Print the verdict, and the finer mesh's where there is one. Raises NotCertified."""
+    """Print the verdict, what the judge may be off by, what a finer mesh and the robust statement say, where
+    they were asked for. Raises NotCertified, but not for what is not robust."""
     if not certificate.certified:
         raise NotCertified(describe(certificate))
     typer.echo(describe(certificate))
+    if said := margins(certificate):
+        typer.echo(said)
     if certificate.verification is not None:
         _report_finer(certificate.verification)
+    for line in told(certificate):
+        typer.echo(line)
+
+
+def check_robust(certificate: Certificate) -> None:
+    """Raise NotCertified where the robust statement does not hold."""
+    if certificate.robust is not None and not certificate.robust["holds"]:
+        raise NotCertified("certified as the scene says, but not robust")
 
 
 def _report_finer(finer: Mapping[str, Any]) -> None:

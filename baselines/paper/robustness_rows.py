@@ -22,7 +22,14 @@ from typing import Any
 from baselines.jobs.journal import Journal, Row, key_of
 from baselines.jobs.version import code_version
 from baselines.paper.experiments import Experiment, evaluate
-from baselines.paper.studies.robustness import DRAWS, STANDARD, STUDY, robustness_experiments
+from baselines.paper.studies.robustness import (
+    DRAWS,
+    FLAP_DRAWS,
+    FLAPS,
+    STANDARD,
+    STUDY,
+    robustness_experiments,
+)
 from baselines.paper.study import write
 from retract_env.threads import cores, single_threaded
 
@@ -80,7 +87,7 @@ def side_by_side(
 
 def chosen(options: argparse.Namespace) -> list[Experiment]:
     """The study's experiments that were asked for, and for which all is installed."""
-    every = robustness_experiments(STANDARD, 100, options.draws)
+    every = robustness_experiments(STANDARD, FLAPS, options.draws, options.flap_draws)
     missing = {method for method, module in NEEDS.items() if find_spec(module) is None}
     return [
         one
@@ -94,7 +101,7 @@ def chosen(options: argparse.Namespace) -> list[Experiment]:
 def written(options: argparse.Namespace, journal: Path) -> list[Path]:
     """Table, picture and page of the rows that are known."""
     known = Journal(journal).rows
-    every = robustness_experiments(STANDARD, 100, options.draws)
+    every = robustness_experiments(STANDARD, FLAPS, options.draws, options.flap_draws)
     keys = [key_of(one.work(options.resolution)) for one in every]
     rows = [{**one.label, **known[key]} for one, key in zip(every, keys, strict=True) if key in known]
     return write(STUDY, rows, options.out, options.resolution) if rows else []
@@ -106,7 +113,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--workers", type=int, default=cores(), help="processes, a core each")
     parser.add_argument("--seconds", type=float, default=1e9, help="of wall-clock, at most")
     parser.add_argument("--resolution", default="fine", help="that plans are certified at")
-    parser.add_argument("--draws", type=int, default=DRAWS, help="other than the study's: rows of your own")
+    parser.add_argument("--draws", type=int, default=DRAWS, help="for each plan, on standard scenes")
+    parser.add_argument("--flap-draws", type=int, default=FLAP_DRAWS, help="likewise, on test flaps")
     parser.add_argument("--scenes", nargs="*", help='homogeneous, ..., "test 0", ...; default: all')
     parser.add_argument("--methods", nargs="*", help="default: all")
     parser.add_argument("--report", action="store_true", help="write the page of what is known as well")

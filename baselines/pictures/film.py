@@ -41,7 +41,6 @@ if TYPE_CHECKING:
     from planners.base import Plan
 
 Array = NDArray[np.float64]
-Pixels = NDArray[np.uint8]
 
 DPI, WIDTH_PX = 100, 800
 MOST_FRAMES = 60
@@ -87,8 +86,8 @@ def shown_frames(steps: Array) -> list[int]:
     return sorted({int(np.abs(steps - step).argmin()) for step in even})
 
 
-def animation_images(plan: Plan) -> Iterator[Pixels]:
-    """Yield (height, 800, 3) images, one per shown increment. The still parts are drawn once."""
+def animation_images(plan: Plan) -> Iterator[Image.Image]:
+    """Yield images 800 pixels wide, one per shown increment. The still parts are drawn once."""
     certificate, scene = plan.certificate, plan.scene
     frames, section = drawn_frames(certificate)
     limits = view_limits(scene, frames)
@@ -148,20 +147,22 @@ def animation_images(plan: Plan) -> Iterator[Pixels]:
         for artist in moving:
             figure.draw_artist(artist)
         drawn = Image.frombuffer("RGBA", canvas.get_width_height(), canvas.buffer_rgba())
-        yield np.asarray(drawn.convert("RGB"))
+        yield drawn.convert("RGB")
 
 
-def _gif(images: list[Pixels], fps: int) -> bytes:
+def _gif(images: list[Image.Image], fps: int) -> bytes:
     # One palette for all frames, so that still parts never flicker: white, the strain map, and what a few
     # frames show, without off-whites, which Pillow would take for white.
-    some = np.vstack([images[i][::2, ::2] for i in np.linspace(0, len(images) - 1, 5).astype(int)])
+    some = np.vstack(
+        [np.asarray(images[i])[::2, ::2] for i in np.linspace(0, len(images) - 1, 5).astype(int)]
+    )
     strains = strain_map()(np.linspace(0.0, 1.0, 95))[:, :3] * 255
     sampled = Image.fromarray(some).quantize(160, method=Image.Quantize.MEDIANCUT).getpalette()
     shown = np.array(sampled).reshape(-1, 3)[:160]
     colours = np.vstack(([(255, 255, 255)], strains.round(), shown[shown.min(axis=1) < 240]))
     palette = Image.new("P", (1, 1))
     palette.putpalette(colours.astype(np.uint8).tobytes())
-    paged = [Image.fromarray(i).quantize(palette=palette, dither=Image.Dither.NONE) for i in images]
+    paged = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
     frame = round(1000 / fps)
     data = io.BytesIO()
     paged[0].save(
@@ -171,10 +172,10 @@ def _gif(images: list[Pixels], fps: int) -> bytes:
     return data.getvalue()
 
 
-def _mp4(images: list[Pixels], fps: int) -> bytes:
+def _mp4(images: list[Image.Image], fps: int) -> bytes:
     import imageio.v3 as imageio
 
-    held = images + [images[-1]] * round(PAUSE_S * fps)
+    held = [np.asarray(image) for image in images + [images[-1]] * round(PAUSE_S * fps)]
     data = imageio.imwrite(
         "<bytes>", np.stack(held), extension=".mp4", plugin="FFMPEG", fps=fps, macro_block_size=16
     )

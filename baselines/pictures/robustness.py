@@ -49,6 +49,7 @@ def draw(rows: Sequence[Row], standard: Sequence[str]) -> Figure:
     main = figure.add_subplot(grid[:, 0])
     several = sorted(flaps) if flaps else list(standard)
     _panel(main, [row for row in rows if row["scene"] in several], several=True)
+    main.set_xlim(0.0, 1.1 * max((r["max_strain"] for r in rows if r["reason"] == "ok"), default=0.5))
     where = f"{len(flaps)} random test flaps" if flaps else "the standard scenes"
     main.set_title(f"{where}: median strain, and part of all draws that fail", fontsize=11)
     shown = {row["method"] for row in rows}
@@ -101,7 +102,6 @@ def _panel(axes: Axes, rows: Sequence[Row], several: bool) -> None:
     axes.set_yticks([NONE, 1e-3, 1e-2, 1e-1, 1.0])
     axes.yaxis.set_major_formatter(FuncFormatter(_part))
     axes.yaxis.set_minor_formatter(NullFormatter())
-    axes.set_xlim(0.0, max((r["max_strain"] for r in rows if r["reason"] == "ok"), default=0.5) * 1.1)
     axes.axhspan(0.75 * NONE, 1 - ENOUGH, facecolor=GROUND, zorder=0)
     if several:
         axes.text(

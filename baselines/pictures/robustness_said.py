@@ -253,7 +253,7 @@ def _exact(rows: Sequence[Row]) -> Said | None:
 
 
 def _statement(rows: Sequence[Row]) -> Said | None:
-    stated = [r for r in rows if r["reason"] == "ok" and r["draws"]]
+    stated = [r for r in rows if r["reason"] == "ok" and r["draws"] and r["bound"] is not None]
     if not stated:
         return None
     told: Callable[[list[Row]], str] = lambda mine: share(  # noqa: E731
@@ -264,7 +264,7 @@ def _statement(rows: Sequence[Row]) -> Said | None:
     failed = sum(r["draws"] - r["survived"] for r in held) / max(1, sum(r["draws"] for r in held))
     return (
         "the robust statement holds: of plans said to fail in at most 1 % of cases, no more do",
-        f"of {len(held)} such plans {told(held)} draws fail; of all {len(stated)} plans {wrong} fail on a "
-        "greater part of their draws than their bound says, chance included",
+        f"of {len(held)} such plans {told(held)} draws fail; of all {len(stated)} plans with a statement "
+        f"{wrong} fail on a greater part of their draws than their bound says, chance included",
         _agrees(failed <= 0.01, failed <= 0.02),
     )

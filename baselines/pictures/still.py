@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -187,12 +188,15 @@ def _draw_stiffness(axes: Axes, below: Axes, plan: Plan, curve: StiffnessCurve) 
             )  # fmt: skip
         if best:
             axes.plot([at * MM] * 2, [axes.get_ylim()[0], height], color=VALUE, linewidth=1.6, zorder=2)
-    why = (
-        "stable grasps lie where the flap is softest, 1 is the most secure"
-        if tissue.veins
-        else "no spot is softer than another"
-    )
-    axes.set_title(f"Where to grasp: {why}; blue was chosen", pad=6)
+    axes.set_title(f"Where to grasp: {_grasps_in_words(plan)}; blue was chosen", pad=6)
+
+
+def _grasps_in_words(plan: Plan) -> str:
+    """What the numbers along the flap are."""
+    if any(math.isfinite(candidate.grasp.score) for candidate in plan.candidates):
+        stable = "stable grasps lie where the flap is softest, 1 is the most secure"
+        return stable if plan.scene.tissue.veins else "no spot is softer than another"
+    return "numbers are places tried, in that order"
 
 
 def _draw_rest(axes: Axes, plan: Plan, span: tuple[float, float], tall: float) -> None:

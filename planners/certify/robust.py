@@ -13,7 +13,6 @@ import json
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -25,6 +24,7 @@ from numpy.typing import NDArray
 from planners.certify.certificate import Certificate
 from planners.certify.retraction import Retraction
 from planners.correction import Correction, correction
+from planners.side_by_side import Stop, side_by_side
 from planners.whatif import Flaps
 from retract_env.errors import MeshError
 from retract_env.grasp import Grasp, JawPath
@@ -33,6 +33,8 @@ from retract_env.scenarios import draws, scenario
 from retract_env.scene import UNKNOWNS, Scene, Uncertainty
 from retract_env.threads import cores
 
+OnJudged = Callable[[int, int], None]
+"""Called with how many draws finite elements have judged, and of how many; from any thread."""
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
@@ -184,6 +186,7 @@ def statement(
     certificate: Certificate,
     asked: Robust,
     on_increment: Callable[[], None] = lambda: None,
+    on_judged: OnJudged = lambda done, of: None,  # noqa: ARG005
 ) -> dict[str, Any]:
     """What is said of a plan whose certificate is known; plain data.
 
@@ -208,9 +211,18 @@ def statement(
     judged: dict[int, str] = {}
     resolution = certificate.mesh["resolution"]
     in_question = between[:MOST_JUDGED].tolist()
-    with ThreadPoolExecutor(cores()) as pool:
-        said = pool.map(lambda i: outcome(scene, grasp, path, z[i], resolution, on_increment), in_question)
-        judged.update(zip(in_question, said, strict=True))
+    stop = Stop()
+
+    def step() -> None:
+        stop()
+        on_increment()
+
+    def judge(i: int) -> None:
+        judged[i] = outcome(scene, grasp, path, z[i], resolution, step)
+        on_judged(len(judged), len(in_question))
+
+    on_judged(0, len(in_question))
+    side_by_side(judge, in_question, cores(), stop)
     for i in np.flatnonzero(fails).tolist():
         by_rod[str(reason[i])] += 1
     undecided = len(between) - len(judged)

@@ -14,7 +14,7 @@ from typing import Any
 
 from planners.certify.certificate import MESH_ERRORS, PATCH_SLIP, REASONS, Certificate
 from planners.certify.retraction import FRICTION_TOLERANCE, STRAIN_TOLERANCE, Retraction
-from planners.certify.robust import Robust, statement
+from planners.certify.robust import OnJudged, Robust, statement
 from retract_env.grasp import Grasp, JawPath
 from retract_env.scene import Scene
 
@@ -125,10 +125,11 @@ def stated(
     path: JawPath,
     asked: Robust | bool = True,
     on_increment: Callable[[], None] = lambda: None,
+    on_judged: OnJudged = lambda done, of: None,  # noqa: ARG005
 ) -> Certificate:
     """The certificate with the robust statement; asked: True for `Robust()`."""
     asked = asked if isinstance(asked, Robust) else Robust()
-    said = statement(scene, grasp, path, certificate, asked, on_increment)
+    said = statement(scene, grasp, path, certificate, asked, on_increment, on_judged)
     return replace(certificate, robust=said)
 
 

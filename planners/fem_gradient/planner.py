@@ -29,7 +29,8 @@ from planners import eased, paths
 from planners.base import Contestant, Plan, Proposals
 from planners.effort import TooCostly, check
 from planners.fem_gradient.sensitivity import LinearStrain, Response, Sensitivity
-from planners.search import OnUpdate, Stop, race, side_by_side
+from planners.search import OnUpdate, race
+from planners.side_by_side import Stop, side_by_side
 from retract_env.errors import Diverged, MeshError
 from retract_env.grasp import Grasp, JawPath
 from retract_env.mesh import jaw_range

@@ -9,15 +9,15 @@ would choose. Where the judge refuses what is best, the runner-up is tried.
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planners import eased, paths
-from planners.base import Contestant, Plan, Proposals, Verdict
+from planners.base import PROMISING, Candidate, Contestant, Plan, Proposals, Verdict
 from planners.correction import Correction, correction
 from planners.search import OnUpdate, race
 from planners.swift.program import (
@@ -55,6 +55,8 @@ ASIDE = (0.0, -0.1, 0.1)
 """Where the search begins, over the length, from the place that `planners.eased` begins at."""
 FIRMER = 1.5
 """Compression at first, over the one there."""
+FURTHER = (1.0, 2.5)
+"""Likewise where a search that has more time begins, and anywhere on the flap."""
 ROUNDS, STEPS, FIRST_STEPS = 4, 10, 8
 RESERVE, UNJUDGED = 0.03, 0.045
 """Friction that a plan leaves over, also on flaps of the sample: as much as finite elements need more, in one
@@ -67,6 +69,11 @@ CLEAR = 2e-3
 """Clearance asked for at the end, over the flap's length."""
 CORRECTIONS = 3
 """How often a plan is found again with what the judge felt; but for the first time only where it fails."""
+UNSURE = "unsure"
+"""Reason of a candidate that breaks a limit on the rod, be it on one flap of the sample alone."""
+PROMISES = 1.1
+"""A first plan from a further start is improved to the end if its strain is less than so many times the best
+one's."""
 SAME = 0.02
 """A plan that holds and would strain less by not more than this part is not judged again."""
 
@@ -93,8 +100,11 @@ TOLERATED = 5e-3
 class Search:
     """Plans on the rod that hold on the sample."""
 
-    def __init__(self, scene: Scene, by_force: bool = False, on_step: Callable[[], None] = lambda: None):
-        self.scene, self.by_force, self.on_step = scene, by_force, on_step
+    def __init__(self, scene: Scene, by_force: bool = False, on_update: OnUpdate | None = None):
+        """on_update: told of all places where the search began, whenever one changes."""
+        self.scene, self.by_force, self.on_update = scene, by_force, on_update
+        self.on_step: Callable[[], None] = lambda: None
+        self.tried: list[Candidate] = []
         self.own = Flaps(scene)
         exact = scene.uncertainty == Uncertainty.none()
         self.sample = None if exact else Flaps(scene, np.sin(np.pi / 2 * draws(SAMPLES, SEED)))
@@ -105,33 +115,87 @@ class Search:
 
     def starts(self) -> list[Array]:
         """Where the search begins: eased paths from a few places."""
-        tissue, line = self.scene.tissue, self.scene.line_of_sight
-        radius = paths.goal_radius(line.camera, line.target)
-        place, first = (
-            float(np.interp(radius / tissue.length, eased.RADII, values))
-            for values in (eased.PLACES, eased.FIRST)
-        )
-        low, high = jaw_range(tissue.length, self.scene.jaws.width)
-        places = {
-            float(np.clip(-place - aside, low / tissue.length, high / tissue.length)) for aside in ASIDE
-        }
-        out = []
-        for at in sorted(places):
-            u = np.empty(COUNT)
-            u[PLACE] = at
-            u[TURN] = float(paths.arc_turn(1 / radius, -at * tissue.length, tissue.height))
-            u[STRETCH], u[PART] = eased.STRETCH * np.array([1, 2, 3]) / 3, eased.TURN
-            u[GRIP] = FIRMER * first
-            u[BEYOND] = 1.0, 0.0
-            out.append(u)
-        return out
+        place, first, (low, high) = self._usual()
+        places = {float(np.clip(place - aside, low, high)) for aside in ASIDE}
+        return [self._start(at, FIRMER * first) for at in sorted(places)]
 
-    def ranked(self) -> list[Found]:
-        """Plans from all starts, the best first; that one is improved to the end."""
+    def further_starts(self) -> Iterator[Array]:
+        """Where it begins if it has more time, without end: anywhere on the flap, gripped more or less."""
+        _, first, (low, high) = self._usual()
+        rng = np.random.default_rng(SEED)
+        while True:
+            yield self._start(rng.uniform(low, high), rng.uniform(*FURTHER) * first)
+
+    def _usual(self) -> tuple[float, float, tuple[float, float]]:
+        """Place and compression that `planners.eased` begins with, and the range of places; over the length
+        and the height."""
+        tissue = self.scene.tissue
+        radius = self._radius() / tissue.length
+        place, first = (float(np.interp(radius, eased.RADII, v)) for v in (eased.PLACES, eased.FIRST))
+        low, high = jaw_range(tissue.length, self.scene.jaws.width)
+        return -place, first, (low / tissue.length, high / tissue.length)
+
+    def _radius(self) -> float:
+        line = self.scene.line_of_sight
+        return paths.goal_radius(line.camera, line.target)
+
+    def _start(self, at: float, compression: float) -> Array:
+        tissue = self.scene.tissue
+        u = np.empty(COUNT)
+        u[PLACE] = at
+        u[TURN] = float(paths.arc_turn(1 / self._radius(), -at * tissue.length, tissue.height))
+        u[STRETCH], u[PART] = eased.STRETCH * np.array([1, 2, 3]) / 3, eased.TURN
+        u[GRIP] = compression
+        u[BEYOND] = 1.0, 0.0
+        return u
+
+    def ranked(self, seconds: float = 0.0) -> list[Found]:
+        """Plans, as many as there are starts, the best first; that one is improved to the end.
+
+        seconds: for how long to search, from further starts once all of those are done; the search ends
+        before that if another start is likely to take longer than what is left.
+        """
+        begun = perf_counter()
         starts = self.starts()
         self._look_for_hard(starts[len(starts) // 2])
-        tried = sorted((self.improve(u, FIRST_STEPS, 2) for u in starts), key=lambda f: f.rank)
-        return [self.finished(tried[0]), *tried[1:]]
+        first = sorted((self._begin(u) for u in starts), key=lambda f: f.rank)
+        each = (perf_counter() - begun) / len(starts)
+        best, others = [self._finish(first[0])], first[1:]
+        further = self.further_starts()
+        while perf_counter() - begun + each < seconds:
+            found = self._begin(next(further))
+            if found.rank < (best[0].rank[0], PROMISES * best[0].rank[1]):
+                best = sorted([*best, self._finish(found)], key=lambda f: f.rank)
+            else:
+                others = sorted([*others, found], key=lambda f: f.rank)
+        return [*best, *others][: len(starts)]
+
+    def _begin(self, unknowns: Array) -> Found:
+        """A first plan from a start."""
+        self._tell("searching", unknowns)
+        found = self.improve(unknowns, FIRST_STEPS, 2)
+        self._tell("done", found.unknowns, found)
+        return found
+
+    def _finish(self, found: Found) -> Found:
+        """A plan improved to the end."""
+        self._tell("searching", found.unknowns)
+        better = self.finished(found)
+        self._tell("done", better.unknowns, better)
+        return better
+
+    def _tell(self, status: str, unknowns: Array, found: Found | None = None) -> None:
+        """Add a candidate, or tell what became of the last one."""
+        if found is None:
+            self.tried.append(Candidate(len(self.tried), *self.plan_of(unknowns), status))
+            self._since = perf_counter()
+        else:
+            last = self.tried[-1]
+            last.status, (last.grasp, last.path) = status, self.plan_of(unknowns)
+            last.reason = PROMISING if found.violation <= TOLERATED else UNSURE
+            last.max_strain, last.seconds = found.strain, perf_counter() - self._since
+        if self.on_update is not None:
+            self.on_update(self.tried)
 
     def finished(self, found: Found) -> Found:
         """A plan improved until it holds on the whole sample; or the best of those on the way."""
@@ -190,9 +254,9 @@ class Search:
         program = self._program(flaps, own=False)
         return program.excess(program.standing(unknowns[None])[0])
 
-    def plan_of(self, found: Found) -> tuple[Grasp, JawPath]:
+    def plan_of(self, unknowns: Array) -> tuple[Grasp, JawPath]:
         """Grasp and path."""
-        return jaw_path(self.scene, found.unknowns, KIND, self.by_force)
+        return jaw_path(self.scene, unknowns, KIND, self.by_force)
 
     def look(self, unknowns: Array) -> Found:
         """What a plan comes to on the scene's own flap and the hard ones."""
@@ -229,18 +293,19 @@ class Swift(Contestant):
     """Hands in the best plan of a search, and again with what the judge felt."""
 
     def __init__(self, scene: Scene, search: Search, ranked: list[Found]):
-        super().__init__(*search.plan_of(ranked[0]))
+        super().__init__(*search.plan_of(ranked[0].unknowns))
         self.scene, self.search, self.ranked = scene, search, ranked
 
     def propose(self, on_increment: Callable[[], None]) -> Proposals:
         """The best plan, corrected; then the runner-up, should the judge refuse it."""
         self.search.on_step = on_increment
         for found in self.ranked:
-            current = found
-            verdict = yield self.search.plan_of(current)
+            current, held = found, None
+            verdict = yield self.search.plan_of(current.unknowns)
             for round_ in range(CORRECTIONS):
                 self.search.hear(current.unknowns, verdict)
                 now = self.search.whole(self.search.look(current.unknowns))
+                held = current if verdict.reason == "ok" else held
                 holds = verdict.reason == "ok" and now.violation <= TOLERATED
                 if round_ and holds:
                     return None
@@ -248,7 +313,9 @@ class Swift(Contestant):
                 if holds and better.strain > (1 - SAME) * now.strain:
                     return None
                 current = better
-                verdict = yield self.search.plan_of(current)
+                verdict = yield self.search.plan_of(current.unknowns)
+            if verdict.reason != "ok" and held is not None:
+                verdict = yield self.search.plan_of(held.unknowns)
             if verdict.reason == "ok":
                 return None
         return None
@@ -261,12 +328,17 @@ def plan_swift(
     workers: int | None,
     on_update: OnUpdate | None,
     grip: str = "position",
+    time: float | None = None,
 ) -> Plan:
-    """Search on the rod, then hand in the best until it is certified and fits. Raises NoPlan."""
-    start = time.perf_counter()
-    search = Search(scene, grip == "force")
-    ranked = search.ranked()
-    found = time.perf_counter()
-    plan = race(scene, [Swift(scene, search, ranked)], KIND, resolution, workers, on_update)
-    timings = {**plan.timings, "search": found - start, "total": time.perf_counter() - start}
+    """Search on the rod, then hand in the best until it is certified and fits. Raises NoPlan.
+
+    grip: "position" or "force"; time: s for which to search, at least, as far as further starts fit into it.
+    """
+    start = perf_counter()
+    search = Search(scene, grip == "force", on_update)
+    ranked = search.ranked(time or 0.0)
+    found = perf_counter()
+    swift = Swift(scene, search, ranked)
+    plan = race(scene, [swift], KIND, resolution, workers, on_update, tried=search.tried)
+    timings = {**plan.timings, "search": found - start, "total": perf_counter() - start}
     return replace(plan, timings=timings)

@@ -8,8 +8,10 @@ what is left.
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
+from retract_env.fem.kernels import JIT
 from retract_env.fem.prism import Prism
 from retract_env.scene import Scene
 
@@ -32,6 +34,7 @@ class BeamGuess:
         near = 1e-9 * tissue.length
         sides = (np.flatnonzero(np.abs(points[:, 1] - y) < near) for y in (0.0, tissue.height))
         self._sides = [side[np.argsort(self._along[side], kind="stable")] for side in sides]
+        self._at = [np.ascontiguousarray(self._along[side]) for side in self._sides]
         self._sections = np.linspace(0, 1, SECTIONS)
 
     def moved(self, u: Array, start: Array, end: Array) -> Array:
@@ -40,46 +43,78 @@ class BeamGuess:
         The axis turns by theta s + b s (1 - s) at the fraction s of its length and stretches evenly by e; b
         and e are such that its end goes with the jaws.
         """
-        positions, s = self._level(u, 0), self._sections
+        prism = self._prism
         axis = np.zeros((SECTIONS, 2))
-        for side in self._sides:
-            axis += 0.5 * _interpolated(s, self._along[side], positions[side])
-        pieces, middle = np.diff(axis, axis=0), (s[1:] + s[:-1]) / 2
-        turn = end[2] - start[2]
-        goal = end[:2] + _turned(axis[-1] - start[:2], turn) - axis[0]
-        bend = stretch = 0.0
-        for _ in range(ROUNDS):
-            turned = _turned(pieces, turn * middle + bend * middle * (1 - middle))
-            across = np.stack([-turned[:, 1], turned[:, 0]], axis=1) * (middle * (1 - middle))[:, None]
-            slopes = np.stack([(1 + stretch) * across.sum(axis=0), turned.sum(axis=0)], axis=1)
-            step = np.linalg.lstsq(slopes, goal - (1 + stretch) * turned.sum(axis=0), rcond=None)[0]
-            bend, stretch = bend + step[0], stretch + step[1]
-        turned = _turned(pieces, turn * middle + bend * middle * (1 - middle))
-        new_axis = axis[0] + np.concatenate([np.zeros((1, 2)), (1 + stretch) * np.cumsum(turned, axis=0)])
-
-        angle = turn * self._along + bend * self._along * (1 - self._along)
-        before = _interpolated(self._along, s, axis)
-        after = _interpolated(self._along, s, new_axis)
+        level = prism.section.points + prism.in_plane(u, 0)
+        for side, at in zip(self._sides, self._at, strict=True):
+            for k in range(2):
+                axis[:, k] += 0.5 * np.interp(self._sections, at, level[side, k])
         out = u.copy()
-        for level in range(self._prism.levels):
-            moved = after + _turned(self._level(u, level) - before, angle)
-            self._prism.in_plane(out, level)[:] = moved - self._rest
+        _follow(axis, start, end, self._along, prism.section.points, prism.levels, prism.stride, out)
         return out
 
-    @property
-    def _rest(self) -> Array:
-        return self._prism.section.points
 
-    def _level(self, u: Array, level: int) -> Array:
-        return self._rest + self._prism.in_plane(u, level)
-
-
-def _interpolated(at: Array, known: Array, values: Array) -> Array:
-    """Piecewise linear, both columns of values (n, 2)."""
-    return np.stack([np.interp(at, known, values[:, k]) for k in range(2)], axis=1)
-
-
-def _turned(v: Array, angle: Array | float) -> Array:
-    """Vectors (..., 2) turned counter-clockwise by angle (...), rad."""
-    cos, sin = np.cos(angle), np.sin(angle)
-    return np.stack([cos * v[..., 0] - sin * v[..., 1], sin * v[..., 0] + cos * v[..., 1]], axis=-1)
+@njit(**JIT)
+def _follow(axis, start, end, along, rest, levels, stride, out):
+    """Move the nodes of a beam with this axis (k, 2) m before; `out` (n,) has their displacements."""
+    pieces = len(axis) - 1
+    turn = end[2] - start[2]
+    cos = np.cos(turn)
+    sin = np.sin(turn)
+    arm_x = axis[pieces, 0] - start[0]
+    arm_y = axis[pieces, 1] - start[1]
+    goal_x = end[0] + cos * arm_x - sin * arm_y - axis[0, 0]
+    goal_y = end[1] + sin * arm_x + cos * arm_y - axis[0, 1]
+    bend = 0.0
+    stretch = 0.0
+    for _ in range(ROUNDS):
+        sum_x = sum_y = side_x = side_y = 0.0
+        for i in range(pieces):
+            dx = axis[i + 1, 0] - axis[i, 0]
+            dy = axis[i + 1, 1] - axis[i, 1]
+            s = (i + 0.5) / pieces
+            angle = turn * s + bend * s * (1.0 - s)
+            cos = np.cos(angle)
+            sin = np.sin(angle)
+            x = cos * dx - sin * dy
+            y = sin * dx + cos * dy
+            sum_x += x
+            sum_y += y
+            side_x -= y * s * (1.0 - s)
+            side_y += x * s * (1.0 - s)
+        long = 1.0 + stretch
+        miss_x = goal_x - long * sum_x
+        miss_y = goal_y - long * sum_y
+        det = long * (side_x * sum_y - side_y * sum_x)
+        if det == 0.0:
+            break
+        bend += (miss_x * sum_y - miss_y * sum_x) / det
+        stretch += long * (side_x * miss_y - side_y * miss_x) / det
+    after = axis.copy()
+    for i in range(pieces):
+        dx = axis[i + 1, 0] - axis[i, 0]
+        dy = axis[i + 1, 1] - axis[i, 1]
+        s = (i + 0.5) / pieces
+        angle = turn * s + bend * s * (1.0 - s)
+        cos = (1.0 + stretch) * np.cos(angle)
+        sin = (1.0 + stretch) * np.sin(angle)
+        after[i + 1, 0] = after[i, 0] + cos * dx - sin * dy
+        after[i + 1, 1] = after[i, 1] + sin * dx + cos * dy
+    for node in range(len(along)):
+        at = along[node] * pieces
+        i = min(int(at), pieces - 1)
+        part = at - i
+        s = along[node]
+        angle = turn * s + bend * s * (1.0 - s)
+        cos = np.cos(angle)
+        sin = np.sin(angle)
+        from_x = axis[i, 0] + part * (axis[i + 1, 0] - axis[i, 0])
+        from_y = axis[i, 1] + part * (axis[i + 1, 1] - axis[i, 1])
+        to_x = after[i, 0] + part * (after[i + 1, 0] - after[i, 0])
+        to_y = after[i, 1] + part * (after[i + 1, 1] - after[i, 1])
+        for level in range(levels):
+            k = node * stride + 2 * level
+            x = rest[node, 0] + out[k] - from_x
+            y = rest[node, 1] + out[k + 1] - from_y
+            out[k] = to_x + cos * x - sin * y - rest[node, 0]
+            out[k + 1] = to_y + sin * x + cos * y - rest[node, 1]

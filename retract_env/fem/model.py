@@ -13,6 +13,7 @@ from retract_env.mesh import RESOLUTIONS, Resolution, SectionMesh
 from retract_env.scene import Scene
 
 Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
 
 
 MOST_UNKNOWNS = 150_000
@@ -119,15 +120,27 @@ class FlapModel:
     def residual(self, u: Array) -> tuple[float, Array]:
         """Potential energy [J] and its gradient (n,) [N], forces that hold prescribed nodes included."""
         energy, force = self.assembly.residual(u)
-        force -= self.load
-        energy -= float(np.einsum("i,i", self.load, u))
-        energy += float(_bed_force(u, self._bed, self._bed_stiffness, force))
-        return energy, force
+        return energy + float(_outer_force(u, self.load, self._bed, self._bed_stiffness, force)), force
 
-    def tangent(self, u: Array) -> Array:
-        """Upper triangle over the free unknowns."""
+    def on_bed(self, u: Array) -> Bools:
+        """(b,) whether each of the bed's unknowns is pressed into it."""
+        return u[self._bed] < 0
+
+    def pulled(self, u: Array, force: Array, held: Bools) -> Array:
+        """The forces (n,) where the bed also pulls, as hard as it would push, at those of its unknowns that
+        are `held`."""
+        out = force.copy()
+        away = held & (u[self._bed] > 0)
+        out[self._bed[away]] += self._bed_stiffness[away] * u[self._bed[away]]
+        return out
+
+    def tangent(self, u: Array, held: Bools | None = None) -> Array:
+        """Upper triangle over the free unknowns.
+
+        held: which of the bed's unknowns count as pressed into it besides those that are.
+        """
         values = self.assembly.tangent(u)
-        down = u[self._bed] < 0
+        down = self.on_bed(u) if held is None else self.on_bed(u) | held
         values[self._bed_diagonal[down]] += self._bed_stiffness[down]
         return values
 
@@ -149,9 +162,12 @@ class FlapModel:
 
 
 @njit(cache=True, nogil=True)
-def _bed_force(u, bed, stiffness, force):
-    """Add the bed's push on nodes below y = 0; returns its energy."""
+def _outer_force(u, load, bed, stiffness, force):
+    """Add to the internal forces weight and the bed's push on nodes below y = 0; returns their energy."""
     energy = 0.0
+    for i in range(len(u)):
+        energy -= load[i] * u[i]
+        force[i] -= load[i]
     for i in range(len(bed)):
         gap = u[bed[i]]
         if gap < 0.0:

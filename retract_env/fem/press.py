@@ -44,14 +44,15 @@ def closing(equilibrium: Equilibrium, u: Array, pose: Array) -> tuple[float, Arr
 
 
 def equilibrate(
-    equilibrium: Equilibrium, u: Array, pose: Array, level: float | None
+    equilibrium: Equilibrium, u: Array, pose: Array, level: float | None, before: Array | None = None
 ) -> tuple[Array, Array, Array]:
     """Equilibrium near u (n,) m, the forces (n,) N that hold the prescribed nodes, and the jaws' pose (4,).
 
     u: with the jaws at that pose. level: N, with which they press, at a separation near that of the pose;
-    None: they stay there. Newton's method for the separation, then secants. Raises Diverged.
+    None: they stay there; before: as of `Equilibrium.solve`. Newton's method for the separation, then
+    secants. Raises Diverged.
     """
-    u, force = equilibrium.solve(u)
+    u, force = equilibrium.solve(u, before)
     if level is None:
         return u, force, pose
     model, slope, way = equilibrium.model, math.nan, u
@@ -64,7 +65,7 @@ def equilibrate(
         step = (level - pressed) / slope
         if not pose[3] + step > NEAREST * model.scene.tissue.height:
             raise Diverged(f"the jaws meet before they press with {1e3 * level:.4g} mN")
-        before, was, pose = u, pressed, np.append(pose[:3], pose[3] + step)
+        earlier, was, pose = u, pressed, np.append(pose[:3], pose[3] + step)
         u = u + step * way
         model.place_jaws(u, to_jaws(pose))
         u, force = equilibrium.solve(u)
@@ -72,7 +73,7 @@ def equilibrate(
         found = (pressed - was) / step
         # of tiny steps the solver's own error is the larger part
         if found < 0 and abs(pressed - was) > 10 * FORCE_TOLERANCE * level:
-            slope, way = found, (u - before) / step
+            slope, way = found, (u - earlier) / step
     raise Diverged(
         f"no separation in {MOST_PRESSES} equilibria at which the jaws press with {1e3 * level:.4g} mN"
     )

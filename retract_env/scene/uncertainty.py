@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, ClassVar
 
-from pydantic import BeforeValidator
+from pydantic import BeforeValidator, model_validator
 
 from retract_env.config import Frozen, Range, brief, refusal
 from retract_env.errors import ConfigError, SceneError
@@ -35,7 +35,10 @@ def _ends(value: Any) -> Any:
 
 
 class Uncertainty(Frozen):
-    """By how much each quantity may differ from what the scene, or the plan, says: half of its range."""
+    """By how much each quantity may differ from what the scene, or the plan, says: half of its range.
+
+    A scene may also say `uncertainty: none`, which is `Uncertainty.none()`.
+    """
 
     error_type: ClassVar[type[ConfigError]] = SceneError
 
@@ -64,7 +67,20 @@ class Uncertainty(Frozen):
     target: Annotated[float, Range(0.0, 0.05, "m")] = 5e-4
     """m, of B along the bed."""
 
+    @model_validator(mode="before")
+    @classmethod
+    def _known_in_a_word(cls, data: Any) -> Any:
+        if not isinstance(data, str):
+            return data
+        if data != "none":
+            raise refusal(f" = {brief(data)}, allowed none or a mapping of {', '.join(cls.model_fields)}")
+        return cls._nothing()
+
+    @classmethod
+    def _nothing(cls) -> dict[str, Any]:
+        return {**dict.fromkeys((*UNKNOWNS, "force_floor"), 0.0), "poisson": None}
+
     @classmethod
     def none(cls) -> Uncertainty:
         """All is as the scene and the plan say."""
-        return cls(**{name: 0.0 for name in (*UNKNOWNS, "force_floor") if name != "poisson"}, poisson=None)
+        return cls(**cls._nothing())

@@ -161,7 +161,7 @@ def test_nothing_to_try_is_no_plan() -> None:
 def test_the_planner_by_name_tries_the_spring_models_grasps() -> None:
     scene = SCENES["veined"]
     grasps = SpringModel(scene.tissue).stable_grasps()
-    plan = planners.plan(scene, resolution="coarse")
+    plan = planners.plan(scene, "ctc", "coarse")
     assert plan.planner == "ctc"
     assert [c.grasp for c in plan.candidates] == grasps
     assert all(c.path == ctc(scene, c.grasp) for c in plan.candidates)
@@ -179,8 +179,8 @@ def test_few_flaps_are_held_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
     most = 0
 
     class Counted(FemPhysics):
-        def __init__(self, *args: Any) -> None:
-            super().__init__(*args)
+        def __init__(self, *args: Any, **named: Any) -> None:
+            super().__init__(*args, **named)
             alive.add(self)
 
     def count(candidates: Sequence[Candidate]) -> None:

@@ -183,7 +183,7 @@ def test_options_change_one_episode(make: Callable[..., TissueRetractEnv]) -> No
     ("options", "message"),
     [
         ({"grip": "spring"}, "^options: unknown grip$"),
-        ({"grasp": "best"}, "^grasp = 'best', allowed 'agent', 'spring' or x and compression$"),
+        ({"grasp": "best"}, "^grasp = 'best', allowed 'agent', 'spring', x and compression, or x and force$"),
         ({"grasp": {"x": -0.03}}, "^grasp = "),
         ({"grasp": {"x": -0.06, "compression": 1e-3}}, r"^grasp\.x = -0\.06 m, allowed \[-0\.05, 0\) m$"),
         ({"scene": {"name": "nothing"}}, "missing"),

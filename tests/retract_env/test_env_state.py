@@ -241,7 +241,7 @@ def test_a_state_on_a_path_predicts_and_corrects_as_before() -> None:
     expected = along(untouched, scene, last)
     along(physics, scene, first)
     state = physics.get_state()
-    assert isinstance(state, FemState) and state.kept is not None and state.kept.pairs
+    assert isinstance(state, FemState) and state.kept is not None and len(state.kept.curvature)
     known = list(state.history)
     way = ctc(scene, GRASP)
     middle, _ = physics.between(known, way.pose_at(2.5), way.pose_at(2.8), 2.8)
@@ -283,7 +283,7 @@ def test_a_state_off_any_path_is_small() -> None:
     closed = np.array([GRASP.x, scene.tissue.height / 2, 0.0, 0.75 * scene.tissue.height])
     physics.move_to(closed, 1.0)
     physics.move_to(closed * [1, 1.5, 1, 1])
-    numbers = 2 * len(physics.displacements)
+    numbers = 3 * len(physics.displacements)  # where it stands, what holds it, what a beam missed
     assert len(pickle.dumps(physics.get_state())) < 8 * numbers + 2_000
 
 

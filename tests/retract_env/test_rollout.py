@@ -163,7 +163,7 @@ def test_pixels_are_not_understood(make: MakeEnv) -> None:
 @pytest.mark.parametrize("name", ["homogeneous", "homogeneous_near", "ten_veins", "twenty_veins"])
 def test_the_planners_best_plan_succeeds(make: MakeEnv, name: str) -> None:
     scene = load_scene(SCENES / f"{name}.yaml")
-    best = plan(scene, resolution="coarse", workers=1)
+    best = plan(scene, "ctc", "coarse", workers=1)
     env = make(scene)
     assert rollout(env, PathPolicy.of(best), seed=0).success
 

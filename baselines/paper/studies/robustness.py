@@ -15,9 +15,13 @@ from baselines.pictures.robustness import draw
 from baselines.pictures.robustness_said import QUESTION, said, tabulated
 from retract_env.scene import Scene
 
+FLAPS = 100
+"""of the benchmark's test split"""
 STANDARD = ("homogeneous", "ten_veins", "twenty_veins")
-DRAWS = 100
-"""for each plan, on finite elements"""
+DRAWS, FLAP_DRAWS = 100, 100
+"""for each plan, on finite elements: on a standard scene, on a test flap"""
+HOPELESS = 0.9
+"""On test flaps, the survival by the rod below which the robust statement is not asked for."""
 FIRST_SEED = 52_100_000
 """of the draws; each scene has its own, so that draws of several may be counted together"""
 METHODS: dict[str, tuple[str, float]] = {
@@ -43,7 +47,7 @@ FRONTIER_FLAPS = 20
 
 def methods_of(scene: Scene, name: str, seed: int, count: int, standard: bool) -> list[Experiment]:
     """All methods on one scene."""
-    on = {"scene": scene.dump(), "count": count, "seed": seed}
+    on = _on(scene, seed, count, standard)
     others = {name: (name, 1.0) for name in STANDARD_METHODS} if standard else {}
     quick, slow = METHODS, others
     return [
@@ -58,8 +62,18 @@ def methods_of(scene: Scene, name: str, seed: int, count: int, standard: bool) -
 
 def frontier_of(scene: Scene, name: str, seed: int, count: int) -> list[Experiment]:
     """`swift` at several demands on one scene."""
-    on = {"scene": scene.dump(), "count": count, "seed": seed}
+    on = _on(scene, seed, count, standard=True)
     return [_planned(on, name, "swift", "swift", demand) for demand in DEMANDS]
+
+
+def _on(scene: Scene, seed: int, count: int, standard: bool) -> dict[str, Any]:
+    """What the work on a scene has in common."""
+    return {
+        "scene": scene.dump(),
+        "count": count,
+        "seed": seed,
+        "hopeless": 0.0 if standard else HOPELESS,
+    }
 
 
 def _planned(on: dict[str, Any], name: str, method: str, planner: str, prior: float) -> Experiment:
@@ -67,8 +81,13 @@ def _planned(on: dict[str, Any], name: str, method: str, planner: str, prior: fl
     return Experiment(planned, {**on, "planner": planner, "prior": prior}, label)
 
 
-def robustness_experiments(standard: Sequence[str], flaps: int, count: int) -> list[Experiment]:
-    """What is most telling comes first: the standard scenes, then one test flap after the other."""
+def robustness_experiments(
+    standard: Sequence[str], flaps: int, count: int, flap_count: int
+) -> list[Experiment]:
+    """What is most telling comes first: the standard scenes, then one test flap after the other.
+
+    count, flap_count: draws for each plan, on a standard scene and on a test flap.
+    """
     test = load_benchmark("benchmark").splits["test"].scenes(flaps)
     seeds = range(FIRST_SEED, FIRST_SEED + len(standard) + len(test))
     named = [(paper_scene(name), name) for name in standard]
@@ -78,13 +97,13 @@ def robustness_experiments(standard: Sequence[str], flaps: int, count: int) -> l
     return [
         *(e for one in known for e in methods_of(*one, count, standard=True)),
         *(e for one in known for e in frontier_of(*one, count)),
-        *(e for one in random for e in methods_of(*one, count, standard=False)),
+        *(e for one in random for e in methods_of(*one, flap_count, standard=False)),
         *(e for one in random[:FRONTIER_FLAPS] for e in frontier_of(*one, 0)),
     ]
 
 
 def _experiments() -> list[Experiment]:
-    return robustness_experiments(STANDARD, 100, DRAWS)
+    return robustness_experiments(STANDARD, FLAPS, DRAWS, FLAP_DRAWS)
 
 
 def _report(rows: Sequence[Row]) -> Report:

@@ -28,7 +28,7 @@ QUICK = ("--resolution", "coarse", "--workers", "1")
 @pytest.fixture(scope="module")
 def coarse_plan() -> Plan:
     """The real planner's answer, once."""
-    return planners.plan(load_scene(SCENE), resolution="coarse", workers=1)
+    return planners.plan(load_scene(SCENE), "ctc", "coarse", workers=1)
 
 
 @pytest.fixture

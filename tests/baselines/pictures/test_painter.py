@@ -22,7 +22,7 @@ NAMES = ["retraction.png", "retraction.gif"]
 
 @pytest.fixture(scope="module")
 def plan() -> Plan:
-    return planners.plan(load_scene("homogeneous"), resolution="coarse", workers=1)
+    return planners.plan(load_scene("homogeneous"), "ctc", "coarse", workers=1)
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.sparse import csr_matrix
 
+from retract_env.errors import NotPositiveDefinite
 from retract_env.fem import linear
 from retract_env.fem.linear import Mkl, Qdldl, cholesky
 
@@ -76,3 +78,17 @@ def test_without_mkl_it_is_qdldl(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(linear, "_load_mkl", lambda: None)
     monkeypatch.setattr(linear, "MKL", Mkl())
     assert isinstance(cholesky(indptr, indices), Qdldl)
+
+
+def test_a_rough_factorisation_is_right_to_five_digits() -> None:
+    rng = np.random.default_rng(0)
+    half = np.triu(rng.normal(size=(30, 30)))
+    full = half + half.T + 60 * np.eye(30)  # diagonally dominant
+    upper = csr_matrix(np.triu(full))
+    factor = cholesky(upper.indptr, upper.indices, rough=True)
+    b = rng.normal(size=30)
+    for scale in (1.0, 2.0):  # the second time on the same pattern
+        factor.factorize(scale * upper.data)
+        assert factor.solve(b) == pytest.approx(np.linalg.solve(scale * full, b), rel=1e-5, abs=1e-7)
+    with pytest.raises(NotPositiveDefinite):
+        factor.factorize(-upper.data)

@@ -164,6 +164,22 @@ def test_solving_leaves_the_guess_and_what_is_prescribed_alone(model: FlapModel,
     assert np.array_equal(force, model.residual(solved)[1])
 
 
+def test_a_guess_off_the_bed_comes_down_at_once(model: FlapModel) -> None:
+    """Knowing what lay on the bed before leads to the same equilibrium, with less work."""
+    before = follow(Equilibrium(model), between(REST, SQUEEZED, 3), model.at_rest())[0][-1]
+    assert model.on_bed(before).any()
+    lifted = before.copy()
+    share = np.clip(model.section.points[:, 0] / GRASP, 0, 1)
+    arch = np.tile(4e-4 * share * (1 - share), model.prism.levels)
+    lifted[model.prism.y(np.arange(len(share)), np.arange(model.prism.levels))] += arch
+    model.place_jaws(lifted, to_jaws(SQUEEZED))
+    assert model.on_bed(lifted).sum() < model.on_bed(before).sum() / 2
+    falling, laid = Equilibrium(model), Equilibrium(model)
+    one, other = falling.solve(lifted)[0], laid.solve(lifted, before)[0]
+    assert worst_strain(model, one) == pytest.approx(worst_strain(model, other), abs=6 * STRAIN_TOLERANCE)
+    assert laid.counts["iterations"] < falling.counts["iterations"]
+
+
 # --- Symmetry
 
 

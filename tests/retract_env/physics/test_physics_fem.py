@@ -124,9 +124,9 @@ def test_a_step_too_long_is_cut_until_it_succeeds(monkeypatch: pytest.MonkeyPatc
     failures = []
     solve = Equilibrium.solve
 
-    def counted(self: Equilibrium, u: Array) -> tuple[Array, Array]:
+    def counted(self: Equilibrium, *guess: Array) -> tuple[Array, Array]:
         try:
-            return solve(self, u)
+            return solve(self, *guess)
         except Diverged:
             failures.append(1)
             raise

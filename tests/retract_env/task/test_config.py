@@ -35,6 +35,8 @@ def test_the_defaults_are_those_that_policies_were_trained_with() -> None:
         "steps": 64,
         "move": (2e-3, 2e-3, float(np.radians(6.0))),
         "compression": (0.02, 0.5),
+        "grip": "compression",
+        "force": (0.03, 1.0),
         "cap": 2.0,
         "limits": "end",
     }

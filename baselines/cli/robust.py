@@ -1,0 +1,125 @@
+"""How the console tells the robust statement, and the worst cases as plans that can be opened."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from baselines.cli.words import FAILS, UNKNOWN
+
+if TYPE_CHECKING:
+    from planners.certify import Certificate, Robust
+    from retract_env.grasp import Grasp, JawPath
+    from retract_env.scene import Scene
+
+RobustOption = Annotated[
+    bool,
+    typer.Option("--robust", help="Say how likely it fails on flaps that are not quite as the scene says."),
+]
+NAMED = 2
+"""Of what hurts most."""
+
+
+def stated(
+    certificate: Certificate, scene: Scene, grasp: Grasp, path: JawPath, asked: Robust | bool = True
+) -> Certificate:
+    """The certificate with the robust statement, showing how far that is."""
+    from baselines.cli.progress import Under
+    from planners.certify import Robust, stated
+
+    asked = asked if isinstance(asked, Robust) else Robust()
+    with Under(f"{asked.samples:,} flaps as they may turn out to be") as under:
+        return stated(certificate, scene, grasp, path, asked, under.step, under.judged)
+
+
+def told(certificate: Certificate) -> list[str]:
+    """The robust statement in plain words, line by line; none where nothing is stated."""
+    said = certificate.robust
+    if said is None:
+        return []
+    count, samples = sum(said["failures"].values()), said["samples"]
+    fails = (
+        f"robust: fails in at most {percent(said['bound'])} of flaps as uncertain as this"
+        if said["holds"]
+        else f"not robust: may fail in up to {percent(said['bound'])} of flaps as uncertain as this, "
+        f"more than {percent(said['eps'])}"
+    )
+    judges = {
+        "the rod": said["judged"]["rod"],
+        "finite elements": said["judged"]["finite_elements"],
+        "neither": said["judged"]["undecided"],
+    }
+    by = ", ".join(f"{n:,} by {judge}" for judge, n in judges.items() if n)
+    lines = [
+        f"{fails}, with confidence {100 * (1 - said['beta']):.6g} %: "
+        f"{f'{count:,}' if count else 'none'} of {samples:,} did; judged {by}"
+    ]
+    if count:
+        most_first = sorted(said["failures"].items(), key=lambda item: -item[1])
+        lines.append("  fails by: " + ", ".join(f"{FAILS.get(why, why)} {n:,}" for why, n in most_first))
+    if hurting := [line for line, _ in zip(hurts(certificate), range(NAMED), strict=False)]:
+        lines.append("  what hurts most: " + ", then ".join(hurting))
+    return lines
+
+
+def percent(part: float) -> str:
+    """A part, rounded up to two digits so that "at most" stays true: 0.87 %."""
+    if part <= 0:
+        return "0 %"
+    digits = 1 - math.floor(math.log10(100 * part))
+    up = math.ceil(100 * part * 10**digits - 1e-9) / 10**digits
+    return f"{up:.{max(digits, 0)}f}".rstrip("0").rstrip(".") + " %" if digits > 0 else f"{up:.0f} %"
+
+
+def hurts(certificate: Certificate) -> Iterator[str]:
+    """What is unknown, each with what the end of its range costs, most of its limit first."""
+    said = certificate.robust
+    if said is None or said["sensitivities"] is None:
+        return
+    limits = {"strain": certificate.strain_limit, "friction": certificate.friction_limit}
+    costs: list[tuple[float, str]] = []
+    for name, slopes in said["sensitivities"].items():
+        half = slopes["half_range"]
+        by = {what: abs(slopes[what]) * half for what in limits}
+        if name == "friction":  # of which more is not needed: the limit is less
+            by = {"friction": limits["friction"] * half}
+        what = max(by, key=lambda w: by[w] / limits[w])
+        if by[what] > 0:
+            limit = "limit of " if name == "friction" else ""
+            line = f"{UNKNOWN.get(name, name)} ({limit}{what} ±{by[what]:.3f})"
+            costs.append((by[what] / limits[what], line))
+    for _, line in sorted(costs, reverse=True):
+        yield line
+
+
+def worst_cases(scene: Scene, grasp: Grasp, path: JawPath, certificate: Certificate) -> dict[str, Any]:
+    """Files with the worst of what was drawn, as plans: worst-1.json and so on, the worst first.
+
+    None where nothing is stated, nor of a case in which the jaws do not close on the flap at all: no plan
+    says that.
+    """
+    if certificate.robust is None:
+        return {}
+    from planners.certify.robust import drawn
+    from retract_env.scenarios import scenario
+
+    files = {}
+    for rank, case in enumerate(certificate.robust["worst"], start=1):
+        there = scenario(scene, grasp, path, drawn(case))
+        if there is not None:
+            flap, held, moved = there
+            files[f"worst-{rank}.json"] = {
+                "scene": flap.dump(),
+                "grasp": {"x": held.x, **held.firmness},
+                "path": moved.to_json(),
+            }
+    return files
+
+
+def old_worst_cases(folder: Path) -> list[Path]:
+    """Files of that sort in a folder."""
+    return sorted(folder.glob("worst-[0-9].json"))
