@@ -18,7 +18,7 @@ from retract_env.scene import Scene
 FLAPS = 100
 """of the benchmark's test split"""
 STANDARD = ("homogeneous", "ten_veins", "twenty_veins")
-DRAWS, FLAP_DRAWS = 100, 100
+DRAWS, FLAP_DRAWS = 100, 40
 """for each plan, on finite elements: on a standard scene, on a test flap"""
 HOPELESS = 0.9
 """On test flaps, the survival by the rod below which the robust statement is not asked for."""
