@@ -10,7 +10,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 .PHONY: help demo bullet test test-slow lint format typecheck bench clean
 
 help:
-	@echo "make demo       plan and certify a retraction of configs/scenes/ten_veins.yaml into $(OUT)"
+	@echo "make demo       retract configs/scenes/ten_veins.yaml as in 2009 and with swift, side by side, into $(OUT)"
 	@echo "make bullet     install PyBullet where there is no wheel of it, compiling for ten minutes"
 	@echo "make test       run the tests;  make test-slow: the slow ones too"
 	@echo "make lint       ruff;  make format: ruff, rewriting;  make typecheck: mypy"
@@ -19,7 +19,7 @@ help:
 	@echo "PYTHON=/path/to/python3 chooses the interpreter"
 
 demo: $(VENV)/.installed
-	$(BIN)/retract plan ten_veins --out $(OUT)
+	$(BIN)/retract compare ten_veins --out $(OUT)
 
 # CPython 3.12 and newer, and most machines that are not Linux on x86-64, have no wheel of PyBullet. NumPy is
 # there before it is built, and it is not built in isolation: else it is built without NumPy.

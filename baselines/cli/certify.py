@@ -67,7 +67,7 @@ def certify_command(
         if out is not None:
             stack.enter_context(usable_folder(out.parent))
             check_no_folder(out)
-        asked: Robust | bool = robust if said is None else _asked(str(check), said)
+        asked = _asked(str(check), said, robust)
         announce_compilation("fem", *(["planning"] if asked else []))
         with clock.phase("simulation"), Under("simulation") as under:
             try:
@@ -102,12 +102,17 @@ def _write(out: Path, scene: Scene, grasp: Grasp, path: JawPath, certificate: Ce
     return list(contents)
 
 
-def _asked(file: str, said: Certificate) -> Robust | bool:
-    """What a certificate's robust statement was asked for, False where it has none. Raises BadInput."""
+def _asked(file: str, said: Certificate | None, robust: bool) -> Robust | None:
+    """What is to be stated: what a certificate's statement was asked for, where there is one to check.
+
+    Raises BadInput.
+    """
     from planners.certify import Robust
 
+    if said is None:
+        return Robust() if robust else None
     if said.robust is None:
-        return False
+        return None
     try:
         return Robust(*(said.robust[name] for name in ("eps", "beta", "samples", "seed")))
     except (KeyError, TypeError, ValueError) as problem:

@@ -79,7 +79,7 @@ def compare_command(
         best = min(plans.values(), key=_rank)
         drawn = None if painter is None else painter.begin(best, ["retraction.png", "retraction.gif"])
         _print(scene, compared)
-        written = []
+        written = [folder / name for name in plans]
         with clock.phase("pictures and files"):
             if drawn is not None:
                 from baselines.pictures.comparison import comparison
@@ -88,10 +88,9 @@ def compare_command(
                 with writing(folder), ExitStack() as all_or_none:
                     for name, data in files.items():
                         all_or_none.enter_context(written_whole(folder / name)).write_bytes(data)
-                        written.append(folder / name)
+                written = [*(folder / name for name in files), *written]
             for name, plan in plans.items():
-                below = stack.enter_context(usable_folder(folder / name))
-                written += write_plan(plan, below)
+                write_plan(plan, stack.enter_context(usable_folder(folder / name)))
         typer.echo("written: " + ", ".join(str(path) for path in written))
         typer.echo(clock.summary())
 
@@ -138,7 +137,15 @@ def table(scene: Scene, compared: list[Compared]) -> Table:
     from rich.table import Table
 
     out = Table(box=None, pad_edge=False, padding=(0, 2), collapse_padding=True, header_style="bold")
-    for column in ("", "strain", "friction\nneeded", "jaws\nclosed by", "fails in\nat most", "s"):
+    for column in (
+        "",
+        "strain",
+        "friction\nneeded",
+        "jaws\nclosed by",
+        "failed of\nso many",
+        "fails in\nat most",
+        "s",
+    ):
         out.add_column(column, justify="right" if column else "left", no_wrap=True)
     asked = ""
     for one in compared:
@@ -152,11 +159,12 @@ def table(scene: Scene, compared: list[Compared]) -> Table:
             f"{c.max_strain:.3f}",
             f"{c.required_friction:.2f}",
             one.held,
+            "" if c.robust is None else f"{sum(c.robust['failures'].values()):,} / {c.robust['samples']:,}",
             "" if math.isnan(one.bound) else percent(one.bound),
             f"{one.plan.timings.get('total', 0.0):.1f}",
             style="green" if holds else "",
         )
         asked = asked if c.robust is None else percent(c.robust["eps"])
     limits = scene.limits
-    out.add_row("allowed", f"{limits.strain:g}", f"{limits.friction:g}", "", asked, "", style="dim")
+    out.add_row("allowed", f"{limits.strain:g}", f"{limits.friction:g}", "", "", asked, "", style="dim")
     return out

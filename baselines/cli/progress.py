@@ -63,6 +63,7 @@ class Under:
         with self._lock:
             done = sum(candidate.status == "done" for candidate in candidates)
             self.done = f", {done} of {len(candidates)} candidates"
+            self.increments = sum(candidate.increments for candidate in candidates)
             self._tell()
 
     def _tell(self) -> None:

@@ -25,13 +25,13 @@ NAMED = 2
 
 
 def stated(
-    certificate: Certificate, scene: Scene, grasp: Grasp, path: JawPath, asked: Robust | bool = True
+    certificate: Certificate, scene: Scene, grasp: Grasp, path: JawPath, asked: Robust | None = None
 ) -> Certificate:
     """The certificate with the robust statement, showing how far that is."""
     from baselines.cli.progress import Under
     from planners.certify import Robust, stated
 
-    asked = asked if isinstance(asked, Robust) else Robust()
+    asked = asked or Robust()
     with Under(f"{asked.samples:,} flaps as they may turn out to be") as under:
         return stated(certificate, scene, grasp, path, asked, under.step, under.judged)
 
@@ -107,12 +107,12 @@ def worst_cases(scene: Scene, grasp: Grasp, path: JawPath, certificate: Certific
     from planners.certify.robust import drawn
     from retract_env.scenarios import scenario
 
-    files = {}
-    for rank, case in enumerate(certificate.robust["worst"], start=1):
+    files: dict[str, Any] = {}
+    for case in certificate.robust["worst"]:
         there = scenario(scene, grasp, path, drawn(case))
         if there is not None:
             flap, held, moved = there
-            files[f"worst-{rank}.json"] = {
+            files[f"worst-{len(files) + 1}.json"] = {
                 "scene": flap.dump(),
                 "grasp": {"x": held.x, **held.firmness},
                 "path": moved.to_json(),

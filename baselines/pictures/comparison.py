@@ -42,10 +42,13 @@ PAGE, EDGE, GAP = 16.0, 0.45, 0.5  # inches: width, margins, between panels
 BARS = 1.25  # inches, height
 EXPLAINED = (
     "Each flap at the end of its retraction, when the bed left of B can be seen from A along the green line; "
-    "pale, at rest. The darker, the more the tissue is strained."
+    "pale, at rest. The darker, the more the tissue is strained.",
+    "Below: what that costs, and in how many of 100 flaps that are not quite as the scene says the same "
+    "motion may fail, at most",
 )
-COLOURS = (GREY, VALUE, "#56b4e9", "#009e73", "#cc79a7")
-"""Of the methods in turn; Okabe and Ito's."""
+LONGEST = 60  # characters over a panel
+COLOURS = (GREY, VALUE, "#7d5ba6", "#009e73", "#cc79a7")
+"""Of the methods in turn."""
 
 
 @dataclass(frozen=True)
@@ -102,9 +105,13 @@ def comparison_figure(scene: Scene, compared: Sequence[Compared]) -> Figure:
         return figure.add_axes((left / PAGE, bottom / height, w / PAGE, h / height), label=label)
 
     left = EDGE / PAGE
-    title = f"{scene.name.replace('_', ' ')}: the same view, {n} ways"
+    title = f"{scene.name.replace('_', ' ')}, retracted by each method"
     figure.text(left, 1 - 0.42 / height, title, fontsize=17, weight="bold")
-    figure.text(left, 1 - 0.74 / height, EXPLAINED, fontsize=11, color=GREY)
+    robust = [plan.certificate.robust for plan in plans if plan.certificate.robust is not None]
+    asked = 100 * robust[0]["eps"] if robust else math.nan
+    sure = f" (with confidence {100 * (1 - robust[0]['beta']):.6g} %)." if robust else "."
+    figure.text(left, 1 - 0.72 / height, EXPLAINED[0], fontsize=10.5, color=GREY)
+    figure.text(left, 1 - 0.96 / height, EXPLAINED[1] + sure, fontsize=10.5, color=GREY)
     for i, one in enumerate(compared):
         axes = panel(f"retraction {i}", EDGE + i * (wide + GAP), below, wide, tall)
         _draw_end(axes, scene, one, limits)
@@ -117,13 +124,10 @@ def comparison_figure(scene: Scene, compared: Sequence[Compared]) -> Figure:
     )
     names, gap = 1.45, 0.55
     each = (PAGE - 2 * EDGE - 2 * gap) / 3
-    robust = [plan.certificate.robust for plan in plans if plan.certificate.robust is not None]
-    asked = 100 * robust[0]["eps"] if robust else math.nan
-    sure = f", {100 * (1 - robust[0]['beta']):.6g} % sure" if robust else ""
     rows = (
         ("Strain of the worst 1 % of the tissue", "max_strain", limit, ".3f"),
         ("Friction needed to hold", "required_friction", scene.limits.friction, ".2f"),
-        (f"May fail in at most so many of 100 flaps{sure}", "bound", asked, ".2g"),
+        ("May fail in at most so many of 100", "bound", asked, ".3g"),
     )
     for k, (said, name, allowed, form) in enumerate(rows):
         axes = panel(f"bars {k}", EDGE + k * (each + gap) + names, 0.4, each - names, BARS)
@@ -134,7 +138,7 @@ def comparison_figure(scene: Scene, compared: Sequence[Compared]) -> Figure:
 def _of(one: Compared, name: str) -> float:
     """A number of the certificate, or the bound, %; nan where there is none."""
     if name == "bound":
-        return 100 * one.bound
+        return one.bound if math.isnan(one.bound) else math.ceil(1e4 * one.bound - 1e-9) / 100  # "at most"
     return math.nan if one.plan is None else float(getattr(one.plan.certificate, name))
 
 
@@ -144,7 +148,8 @@ def _colour(i: int) -> str:
 
 def _facts(one: Compared) -> str:
     if one.plan is None:
-        return "no plan was certified"
+        text = f"no plan certified of {one.why}"
+        return text if len(text) <= LONGEST else text[: LONGEST - 1] + "…"
     by = "closed by" if one.plan.grasp.force is None else "pressing with"
     seconds = one.plan.timings.get("total")
     found = "" if seconds is None else f"; found in {seconds:.1f} s"
@@ -160,8 +165,6 @@ def _draw_end(axes: Axes, scene: Scene, one: Compared, limits: tuple[float, floa
     axes.spines["left"].set_visible(False)
     if one.plan is None:
         draw_flap_at_rest(axes, scene.tissue)
-        middle = (limits[0] + limits[1]) / 2, 0.5 * limits[3]
-        axes.text(*middle, one.why, ha="center", va="center", color=LIMIT, wrap=True, path_effects=HALO)
         return
     frames, section = drawn_frames(one.plan.certificate)
     topology = SectionTopology(section)
@@ -185,7 +188,7 @@ def _draw_bars(
     for y, value, length in zip(where, values, lengths, strict=True):
         inside = length > 0.6 * longest  # where the limit's line would cross the number
         axes.annotate(
-            f"{value:{form}}" if math.isfinite(value) else "none", (length, y),
+            f"{value:{form}}" if math.isfinite(value) else "no plan", (length, y),
             xytext=(-5 if inside else 5, 0), textcoords="offset points", ha="right" if inside else "left",
             va="center", color="white" if inside else INK, zorder=4, weight="bold",
         )  # fmt: skip

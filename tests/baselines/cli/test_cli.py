@@ -22,7 +22,7 @@ from retract_env.scene import load_scene
 
 ROOT = Path(__file__).resolve().parents[3]
 SCENE = ROOT / "configs" / "scenes" / "homogeneous.yaml"
-QUICK = ("--resolution", "coarse", "--workers", "1")
+QUICK = ("--planner", "ctc", "--resolution", "coarse", "--workers", "1")
 
 
 @pytest.fixture(scope="module")

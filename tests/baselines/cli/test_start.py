@@ -39,6 +39,10 @@ assert not {"numba", "scipy", "matplotlib", "planners", "retract_env.scene"} & s
     assert done.returncode == 0, done.stderr
     for option in (
         "--planner",
+        "--grip",
+        "--time",
+        "--robust",
+        "--known",
         "--out",
         "--resolution",
         "--workers",

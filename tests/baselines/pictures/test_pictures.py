@@ -341,3 +341,13 @@ def test_pyplot_is_never_imported() -> None:
         "sys.exit('matplotlib.pyplot' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_the_numbers_along_the_flap_are_what_the_planner_had(ten: Plan) -> None:
+    """Ranks of grasps that were scored, or places in the order in which they were tried."""
+    for score, words in ((1.0, "1 is the most secure"), (math.nan, "places tried, in that order")):
+        tried = [
+            dataclasses.replace(c, grasp=dataclasses.replace(c.grasp, score=score)) for c in ten.candidates
+        ]
+        figure = retraction_figure(dataclasses.replace(ten, candidates=tuple(tried)))
+        assert words in axes_of(figure, "stiffness").get_title()
