@@ -218,7 +218,7 @@ def statement(
         on_increment()
 
     def judge(i: int) -> None:
-        judged[i] = _judged(scene, grasp, path, z[i], resolution, step)
+        judged[i] = outcome(scene, grasp, path, z[i], resolution, step)
         on_judged(len(judged), len(in_question))
 
     on_judged(0, len(in_question))
@@ -254,15 +254,15 @@ def statement(
     }
 
 
-def _judged(
+def outcome(
     scene: Scene,
     grasp: Grasp,
     path: JawPath,
     z: Array,
     resolution: str,
-    on_increment: Callable[[], None],
+    on_increment: Callable[[], None] = lambda: None,
 ) -> str:
-    """What becomes of one draw on finite elements."""
+    """What becomes of a plan on one draw (UNKNOWNS,), by finite elements."""
     there = scenario(scene, grasp, path, z)
     if there is None:
         return "release"

@@ -9,15 +9,16 @@ would choose. Where the judge refuses what is best, the runner-up is tried.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planners import eased, paths
-from planners.base import PROMISING, Candidate, Contestant, Plan, Proposals, Verdict
+from planners.base import PROMISING, Candidate, Contestant, Plan, Proposals
 from planners.correction import Correction, correction
 from planners.search import OnUpdate, race
 from planners.swift.program import (
@@ -74,8 +75,11 @@ UNSURE = "unsure"
 PROMISES = 1.1
 """A first plan from a further start is improved to the end if its strain is less than so many times the best
 one's."""
-SAME = 0.02
-"""A plan that holds and would strain less by not more than this part is not judged again."""
+SAME, SAME_EXACT = 0.03, 0.01
+"""A plan that holds and would strain less by not more than this part is not judged again; the second where
+all is known."""
+NEARLY = 0.03
+"""Violation that a plan may have once the judge has been heard: some of what RESERVE leaves over."""
 
 
 @dataclass(frozen=True)
@@ -275,15 +279,15 @@ class Search:
         excess = float(self._excess(found.unknowns, self.sample).max())
         return replace(found, violation=max(found.violation, excess))
 
-    def hear(self, unknowns: Array, verdict: Verdict) -> None:
-        """Correct the rod by what the judge felt along a plan."""
-        if verdict.history is None:
+    def hear(self, unknowns: Array, history: Mapping[str, Any] | None) -> None:
+        """Correct the rod by what finite elements felt along a plan."""
+        if history is None:
             return
         length = self.scene.tissue.length
         force = force_of(self.scene, unknowns[None]) if self.by_force else None
         poses = motion(self.scene, unknowns[None])
         rod = self.own.follow(unknowns[None, PLACE] * length, poses, force=force)
-        found = correction(self.scene, 1 + paths.INCREMENTS * TIMES, rod.felt[0], verdict.history)
+        found = correction(self.scene, 1 + paths.INCREMENTS * TIMES, rod.felt[0], history)
         if found is not None and not rod.lost[0]:
             self.correction = found
             self.reserve = EXACT if self.sample is None else RESERVE
@@ -299,18 +303,19 @@ class Swift(Contestant):
     def propose(self, on_increment: Callable[[], None]) -> Proposals:
         """The best plan, corrected; then the runner-up, should the judge refuse it."""
         self.search.on_step = on_increment
+        same = SAME_EXACT if self.search.sample is None else SAME
         for found in self.ranked:
             current, held = found, None
             verdict = yield self.search.plan_of(current.unknowns)
             for round_ in range(CORRECTIONS):
-                self.search.hear(current.unknowns, verdict)
+                self.search.hear(current.unknowns, verdict.history)
                 now = self.search.whole(self.search.look(current.unknowns))
                 held = current if verdict.reason == "ok" else held
-                holds = verdict.reason == "ok" and now.violation <= TOLERATED
+                holds = verdict.reason == "ok" and now.violation <= NEARLY
                 if round_ and holds:
                     return None
                 better = self.search.finished(now)
-                if holds and better.strain > (1 - SAME) * now.strain:
+                if holds and better.strain > (1 - same) * now.strain:
                     return None
                 current = better
                 verdict = yield self.search.plan_of(current.unknowns)

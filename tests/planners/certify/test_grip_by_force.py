@@ -11,6 +11,7 @@ import pytest
 from planners import Certificate, certify
 from planners.base import Candidate, Plan, plan_from_json
 from planners.paths import ctc
+from retract_env.fem.press import FORCE_TOLERANCE
 from retract_env.grasp import Grasp, JawPath
 from retract_env.scene import load_scene
 
@@ -41,7 +42,8 @@ def test_of_a_path_midpoints_and_angles_are_followed(certificate: Certificate) -
     poses[1:, 3] *= 0.9
     other = certify(SCENE, GRASP, JawPath.from_poses(poses, "ctc"), "coarse")
     assert (other.reason, other.increments) == (certificate.reason, certificate.increments)
-    assert other.max_strain == pytest.approx(certificate.max_strain, rel=1e-6)
+    # midpoints are rounded otherwise, and the search for the force ends elsewhere within its tolerance
+    assert other.max_strain == pytest.approx(certificate.max_strain, rel=FORCE_TOLERANCE)
     poses[1, 0] += 1e-4
     with pytest.raises(ValueError, match=r"path\.waypoints\[1\] = .* allowed the grasp squeezed"):
         certify(SCENE, GRASP, JawPath.from_poses(poses, "ctc"), "coarse")

@@ -93,7 +93,8 @@ def test_separations_that_it_is_told_make_no_difference(kind: type) -> None:
     other = JawPath.from_poses(poses, "other")
     one, two = (retracted(made(kind, scene), p, 10) for p in (path, other))
     for a, b in zip(one, two, strict=True):
-        np.testing.assert_allclose(a.points, b.points, rtol=0, atol=1e-9)
+        # midpoints are rounded otherwise, and the search ends elsewhere within its tolerance
+        np.testing.assert_allclose(a.points, b.points, rtol=0, atol=2e-8)
 
 
 @under_both

@@ -1,0 +1,182 @@
+"""Experiments on what plans survive: a planner's plan, or one of the paper's paths gripped more and less
+firmly, judged on flaps that are not quite as the scene says."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from baselines.jobs.journal import Row
+from baselines.paper.experiments import measured
+from planners import PLANNERS
+from planners.base import NoPlan, Plan
+from planners.certify import Certificate, Robust, certify, stated
+from planners.certify.robust import corrected_by, followed, levels, outcome
+from planners.paths import PATHS
+from planners.swift.planner import plan_swift
+from planners.whatif import Flaps
+from retract_env.errors import MeshError
+from retract_env.grasp import Grasp, JawPath
+from retract_env.scenarios import draws
+from retract_env.scene import UNKNOWNS, Scene, Uncertainty
+
+ON = "coarse"
+"""Finite elements that draws are judged on, and that correct the rod on a ladder."""
+BY_ROD, ROD_SEED = 1000, 52_000_001
+"""Draws that the rod judges, and their seed; not those of the robust statement, of planners or of the finite
+elements."""
+ENOUGH = 0.99
+"""Survival at which grips are compared, by the rod."""
+PARTS = (1.6, 1.25, 1.0, 0.8, 0.63, 0.5, 0.4, 0.3, 0.2)
+"""Rungs of a ladder: parts of the compression by Eq. 5."""
+MOST = 0.45
+"""Compression over the height, at most; that of `planners.swift`."""
+HALVINGS = 3
+"""of the step between the lightest rung that survives and the next"""
+
+GRIPS: dict[str, Callable[..., Plan]] = {
+    **PLANNERS,
+    "swift_force": partial(plan_swift, grip="force"),
+}
+"""Planners by name, and `swift` with the other grip."""
+
+
+def scaled(prior: Uncertainty, by: float) -> Uncertainty:
+    """The prior with all ranges as many times as wide; 0: all is known, Poisson's ratio included."""
+    if by in (0.0, 1.0):
+        return prior if by else Uncertainty.none()
+    said: dict[str, Any] = {}
+    for name in (*UNKNOWNS, "force_floor"):
+        value = getattr(prior, name)
+        if name != "poisson":
+            said[name] = by * value
+        elif value is not None:
+            middle, half = (value[0] + value[1]) / 2, by * (value[1] - value[0]) / 2
+            said[name] = max(0.0, middle - half), min(0.49, middle + half)
+    return Uncertainty(**said)
+
+
+def planned(
+    resolution: str, scene: Any, planner: str, prior: float, count: int, seed: int, hopeless: float
+) -> Row:
+    """A planner's plan, made for a prior as many times as wide as the scene's, and judged under the scene's.
+
+    count: draws that finite elements judge, with their seed; 0: the rod alone judges, and nothing is stated;
+    hopeless: survival by the rod below which the robust statement is not asked for. It would not hold, and
+    say so after many retractions on the fine mesh.
+    """
+    flap = Scene.from_data(scene)
+    asked = flap.model_copy(update={"uncertainty": scaled(flap.uncertainty, prior)})
+    try:
+        plan = GRIPS[planner](asked, resolution=resolution, workers=1, on_update=None)
+    except NoPlan:
+        return without_plan()
+    return judged(flap, plan.grasp, plan.path, plan.certificate, count, seed, hopeless)
+
+
+def lightest(resolution: str, scene: Any, path: str, count: int, seed: int, hopeless: float) -> Row:
+    """One of PATHS from where the paper's planner grasps, closed as lightly as survives; `ladder` tells what
+    other compressions come to. Where Eq. 5 holds nowhere, from the grasp that needs least friction there."""
+    flap = Scene.from_data(scene)
+    try:
+        grasp = PLANNERS[path](flap, resolution=resolution, workers=1, on_update=None).grasp
+    except NoPlan as none:
+        known = [c for c in none.candidates if math.isfinite(c.required_friction)]
+        if not known:
+            return without_plan() | {"part": None, "ladder": []}
+        grasp = min(known, key=lambda c: c.required_friction).grasp
+    allowed = [part for part in PARTS if part * grasp.compression <= MOST * flap.tissue.height]
+    ladder = [rung(flap, grasp, path, part) for part in allowed]
+    surviving = [r["survival"] >= ENOUGH for r in ladder]
+    first = next((k for k, holds in enumerate(surviving) if holds), None)
+    if first is None:
+        part = max(ladder, key=lambda r: r["survival"])["part"]
+    else:
+        last = next((k for k in range(first, len(ladder)) if not surviving[k]), len(ladder)) - 1
+        part = ladder[last]["part"]
+        too_light = ladder[last + 1]["part"] if last + 1 < len(ladder) else None
+        for _ in range(HALVINGS if too_light else 0):
+            between = rung(flap, grasp, path, math.sqrt(part * too_light))
+            ladder.append(between)
+            if between["survival"] >= ENOUGH:
+                part = between["part"]
+            else:
+                too_light = between["part"]
+    grip = Grasp(grasp.x, part * grasp.compression)
+    way = PATHS[path](flap, grip)
+    row = judged(flap, grip, way, certify(flap, grip, way, resolution), count, seed, hopeless)
+    return {**row, "part": part, "ladder": sorted(ladder, key=lambda r: -r["part"])}
+
+
+def rung(scene: Scene, grasp: Grasp, path: str, part: float) -> Row:
+    """What becomes of a part of a grasp's compression: on the coarse mesh, and how often by the rod."""
+    grip = Grasp(grasp.x, part * grasp.compression)
+    way = PATHS[path](scene, grip)
+    row: Row = {"part": part, "compression": grip.compression}
+    try:
+        certificate = certify(scene, grip, way, ON)
+    except MeshError:
+        return row | {"reason": "unmeshable", "max_strain": 0.0, "survival": 0.0}
+    said = {"reason": certificate.reason, "max_strain": certificate.max_strain}
+    return row | said | {"survival": survival(scene, grip, way, certificate)}
+
+
+def survival(scene: Scene, grasp: Grasp, path: JawPath, certificate: Certificate) -> float:
+    """The part of BY_ROD draws that a plan survives, by the rod that the certificate's mesh corrects."""
+    corrected = corrected_by(scene, grasp, path, certificate.history)
+    if corrected is None:
+        return 0.0
+    flaps = Flaps(scene, draws(BY_ROD, ROD_SEED), grasp.force or math.nan)
+    reasons = levels(followed(scene, grasp, path, flaps, corrected))[1]
+    return float(np.mean(reasons == "ok"))
+
+
+def judged(
+    scene: Scene,
+    grasp: Grasp,
+    path: JawPath,
+    certificate: Certificate,
+    count: int,
+    seed: int,
+    hopeless: float,
+) -> Row:
+    """What a row says of a plan: its certificate, the robust statement, and what it survives."""
+    row: Row = {
+        "x": grasp.x,
+        "compression": None if grasp.force else grasp.compression,
+        "force": grasp.force,
+        **measured(certificate),
+        **NOT_JUDGED,
+        "by_rod": survival(scene, grasp, path, certificate),
+    }
+    if not count:
+        return row
+    row["holds"] = False
+    if row["by_rod"] >= hopeless:
+        said = stated(certificate, scene, grasp, path, Robust()).robust
+        assert said is not None
+        row |= {"holds": said["holds"], "bound": said["bound"]}
+        row["stated_failures"] = sum(said["failures"].values())
+    ends = Counter(outcome(scene, grasp, path, z, ON) for z in draws(count, seed))
+    return row | {
+        "draws": count,
+        "survived": ends.pop("ok", 0),
+        "ends": " ".join(f"{reason} {n}" for reason, n in sorted(ends.items())),
+    }
+
+
+NOT_JUDGED: Row = {
+    "holds": None, "bound": None, "stated_failures": None, "by_rod": 0.0, "draws": 0, "survived": 0,
+    "ends": "",
+}  # fmt: skip
+
+
+def without_plan() -> Row:
+    """The row of a planner that found nothing."""
+    nothing = {"x": None, "compression": None, "force": None, "reason": "no plan", "max_strain": None}
+    return {**nothing, "required_friction": None, "clearance": None, **NOT_JUDGED}
