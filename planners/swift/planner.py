@@ -52,8 +52,9 @@ HARD = 96
 """Of these, so many that are nearest to failing are looked at again and again."""
 WORST, NEAR = 4, 0.02
 """How many of those that fail worst join the program at a time, and how near to failing they have to be."""
-ASIDE = (0.0, -0.1, 0.1)
-"""Where the search begins, over the length, from the place that `planners.eased` begins at."""
+ASIDE, ASIDE_EXACT = (0.0, -0.1, 0.1), (0.0, -0.05, 0.05, -0.1, 0.1, -0.2)
+"""Where the search begins, over the length, from the place that `planners.eased` begins at; the second
+where all is known, which takes less time."""
 FIRMER = 1.5
 """Compression at first, over the one there."""
 FURTHER = (1.0, 2.5)
@@ -66,8 +67,10 @@ case of a hundred, than the rod that is corrected by what they felt on the scene
 (`retract_env.rod.distance`)."""
 EXACT = 0.005
 """Likewise where all is known, as the judge has been heard."""
-CLEAR = 2e-3
-"""Clearance asked for at the end, over the flap's length."""
+CLEAR = 3.5e-3
+"""Clearance asked for at the end, over the flap's length: the margin of one case of a hundred, likewise."""
+CLEAR_EXACT = 1e-3
+"""Likewise where all is known."""
 CORRECTIONS = 3
 """How often a plan is found again with what the judge felt; but for the first time only where it fails."""
 UNSURE = "unsure"
@@ -75,7 +78,7 @@ UNSURE = "unsure"
 PROMISES = 1.1
 """A first plan from a further start is improved to the end if its strain is less than so many times the best
 one's."""
-SAME, SAME_EXACT = 0.03, 0.01
+SAME, SAME_EXACT = 0.03, 0.003
 """A plan that holds and would strain less by not more than this part is not judged again; the second where
 all is known."""
 NEARLY = 0.03
@@ -114,13 +117,15 @@ class Search:
         self.sample = None if exact else Flaps(scene, np.sin(np.pi / 2 * draws(SAMPLES, SEED)))
         self.hard = np.zeros(0, np.int64)
         self.correction = Correction.none(len(TIMES))
+        self.heard = False
         self.reserve = UNJUDGED
         self.evaluations = 0
 
     def starts(self) -> list[Array]:
         """Where the search begins: eased paths from a few places."""
         place, first, (low, high) = self._usual()
-        places = {float(np.clip(place - aside, low, high)) for aside in ASIDE}
+        asides = ASIDE_EXACT if self.sample is None else ASIDE
+        places = {float(np.clip(place - aside, low, high)) for aside in asides}
         return [self._start(at, FIRMER * first) for at in sorted(places)]
 
     def further_starts(self) -> Iterator[Array]:
@@ -223,7 +228,8 @@ class Search:
 
     def _program(self, flaps: Flaps, own: bool = True) -> Program:
         """own: whether the first of the flaps is the scene's own."""
-        return Program(self.scene, flaps, self.reserve, CLEAR, self.correction, own, self.by_force)
+        clear = CLEAR_EXACT if self.sample is None else CLEAR
+        return Program(self.scene, flaps, self.reserve, clear, self.correction, own, self.by_force)
 
     def improve(
         self, unknowns: Array, steps: int = STEPS, rounds: int = ROUNDS, radius: float = 2.0
@@ -289,7 +295,9 @@ class Search:
         rod = self.own.follow(unknowns[None, PLACE] * length, poses, force=force)
         found = correction(self.scene, 1 + paths.INCREMENTS * TIMES, rod.felt[0], history)
         if found is not None and not rod.lost[0]:
-            self.correction = found
+            if self.heard:  # or two plans that hide the target in turn would be found in turn
+                found = replace(found, clearance=np.minimum(found.clearance, self.correction.clearance))
+            self.correction, self.heard = found, self.sample is not None
             self.reserve = EXACT if self.sample is None else RESERVE
 
 
@@ -305,14 +313,14 @@ class Swift(Contestant):
         self.search.on_step = on_increment
         same = SAME_EXACT if self.search.sample is None else SAME
         for found in self.ranked:
-            current, held = found, None
+            current, held, self.search.heard = found, None, False
             verdict = yield self.search.plan_of(current.unknowns)
             for round_ in range(CORRECTIONS):
                 self.search.hear(current.unknowns, verdict.history)
                 now = self.search.whole(self.search.look(current.unknowns))
                 held = current if verdict.reason == "ok" else held
                 holds = verdict.reason == "ok" and now.violation <= NEARLY
-                if round_ and holds:
+                if round_ and holds and self.search.sample is not None:
                     return None
                 better = self.search.finished(now)
                 if holds and better.strain > (1 - same) * now.strain:
