@@ -12,12 +12,13 @@ from typing import Any, ClassVar
 import pytest
 
 from planners import effort, search
+from planners.abreast import Stop, Stopped, side_by_side
 from planners.base import Candidate, Contestant, NoPlan, Proposals, Verdict
 from planners.certify import certify
 from planners.eased import InTurn
 from planners.effort import TooCostly
 from planners.paths import ctc
-from planners.search import PRUNING, Stop, Stopped, race, side_by_side
+from planners.search import PRUNING, race
 from retract_env.errors import Diverged, MeshError
 from retract_env.grasp import Grasp, JawPath
 from retract_env.scene import Scene
@@ -51,6 +52,9 @@ class FakeTrial:
         reason, self.max_strain = self.outcomes[self.grasp.compression]
         on_increment()
         self.reason = "pruned" if self.max_strain > bound() else reason
+
+    def history(self) -> dict[str, list[Any]]:
+        return {}
 
     def certificate(self) -> Any:
         assert self.reason == "ok"
