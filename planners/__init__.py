@@ -13,12 +13,11 @@ from planners.certify import Certificate, certify
 from planners.deform_closure import closure_grasps
 from planners.eased import plan_eased
 from planners.fem_gradient.planner import plan_fem_gradient
-from planners.leads import best
 from planners.light_grip import LightGrip, lightest_grips
 from planners.paths import PAPER_PATHS
 from planners.proposals import along, stable_grasps, uniform_grasps
 from planners.search import OnUpdate, generate_and_test, race
-from planners.swift.planner import plan_swift
+from planners.swift.planner import best_grasps, plan_swift
 from retract_env.grasp import Grasp, JawPath
 from retract_env.scene import Scene
 
@@ -87,7 +86,7 @@ PLANNERS: dict[str, Planner] = {
     "swift": plan_swift,
     "eased": plan_eased,
     "fem_gradient": plan_fem_gradient,
-    "elastica": partial(_improve, "elastica", _elastica, partial(best, count=ELASTICA_PLACES)),
+    "elastica": partial(_improve, "elastica", _elastica, partial(best_grasps, count=ELASTICA_PLACES)),
 }
 
 

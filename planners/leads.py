@@ -1,7 +1,7 @@
 """Where planners begin that improve a grasp: at the few places that the rod finds best.
 
-`lightest` follows one kind of path from places all along the flap, each gripped in many ways, and says how
-lightly the jaws may close there; `best` takes the places of plans that are optimal on the rod.
+One kind of path is followed from places all along the flap, the stable ones among them, each gripped in many
+ways.
 """
 
 from __future__ import annotations
@@ -13,31 +13,19 @@ from numpy.typing import ArrayLike, NDArray
 
 from planners.foresight import FIRMEST, Foreseen, foresee
 from planners.paths import PathOf
-from planners.swift.planner import Search
-from planners.swift.program import GRIP, PLACE
+from planners.proposals import stable_grasps
 from retract_env.grasp import Grasp
 from retract_env.mesh import jaw_range
-from retract_env.scene import Scene, Uncertainty
+from retract_env.scene import Scene
 
 Array = NDArray[np.float64]
 
 PLACES, GRIPS = 16, 9
-"""How many places, and compressions of each, are followed on the rod."""
+"""How many places beside the stable ones, and compressions of each, are followed on the rod."""
 LIGHTEST = 0.02
 """Least compression of those, over the height; the greatest is FIRMEST."""
-APART = 0.04
+APART = 0.02
 """Over the length: places nearer to a better one than this are no other places."""
-
-
-def best(scene: Scene, count: int) -> list[Grasp]:
-    """Grasps of the best plans on the rod if all is as the scene says, the best first, at most `count`."""
-    search = Search(scene.model_copy(update={"uncertainty": Uncertainty.none()}))
-    length, height = scene.tissue.length, scene.tissue.height
-    grasps = (
-        Grasp(float(f.unknowns[PLACE]) * length, float(f.unknowns[GRIP.start]) * height)
-        for f in search.ranked()
-    )
-    return _apart(list(grasps), scene, count)
 
 
 def lightest(scene: Scene, path_of: PathOf, allowed: float, count: int) -> list[Grasp]:
@@ -45,6 +33,7 @@ def lightest(scene: Scene, path_of: PathOf, allowed: float, count: int) -> list[
     that strain least, the best first."""
     height = scene.tissue.height
     places = np.linspace(*jaw_range(scene.tissue.length, scene.jaws.width), PLACES + 2)[1:-1].tolist()
+    places = sorted({*places, *(grasp.x for grasp in stable_grasps(scene))})
     compressions = np.geomspace(LIGHTEST, FIRMEST, GRIPS) * height
     grasps = [Grasp(x, delta) for x, delta in product(places, compressions.tolist())]
     found = foresee(scene, [(grasp, path_of(scene, grasp)) for grasp in grasps])
@@ -55,7 +44,7 @@ def lightest(scene: Scene, path_of: PathOf, allowed: float, count: int) -> list[
         if known is not None:
             held.append((known[1], Grasp(x, known[0])))
     held.sort(key=lambda h: h[0])
-    return _apart([grasp for _, grasp in held], scene, count)
+    return apart([grasp for _, grasp in held], scene, count)
 
 
 def least_grip(
@@ -79,7 +68,7 @@ def least_grip(
     return None
 
 
-def _apart(grasps: list[Grasp], scene: Scene, count: int) -> list[Grasp]:
+def apart(grasps: list[Grasp], scene: Scene, count: int) -> list[Grasp]:
     """The first `count` of those that are not near one before."""
     out: list[Grasp] = []
     for grasp in grasps:

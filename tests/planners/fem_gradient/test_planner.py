@@ -18,6 +18,7 @@ from planners.effort import TooCostly
 from planners.fem_gradient.planner import (
     ENOUGH,
     GRIP,
+    HOLDS,
     KIND,
     PART,
     STRETCH,
@@ -49,8 +50,6 @@ GRASP = a_grasp(-0.03, 0.06)
 HOMOGENEOUS = a_scene(friction=0.5)
 LIGHT = a_grasp(-0.035, 0.085)
 """The place and grip that `light_grip` comes to on this scene."""
-HOLDS = 0.02
-"""Violation, as a part of the greatest jaw force, up to which a path counts as one that holds."""
 
 
 @cache
