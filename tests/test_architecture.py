@@ -35,8 +35,9 @@ FLOORS = {
         "physics", "task", "given", "rollout", "drawing", "env", "vector",
     ),
     "planners": (
-        "certify", "paths", "base", "effort", "proposals", "search", "deform_closure", "light_grip", "eased",
-        "elastica", "fem_gradient",
+        "whatif", "correction", "certify", "paths", "base", "effort", "abreast", "foresight", "runner",
+        "proposals", "leads", "search", "deform_closure", "light_grip", "eased", "swift", "elastica",
+        "fem_gradient",
     ),
     "baselines": ("jobs", "pictures", "learning", "benchmark", "paper", "cli"),
 }  # fmt: skip
