@@ -31,7 +31,7 @@ LONGEST_FILE = 400
 FLOORS = {
     "retract_env": (
         "errors", "threads", "compilation", "config", "objectives", "grasp", "scene", "mesh", "spring", "fem",
-        "rod",
+        "rod", "scenarios",
         "physics", "task", "given", "rollout", "drawing", "env", "vector",
     ),
     "planners": (
