@@ -20,6 +20,11 @@ TOO_COSTLY = "too costly"
 """Reason of a candidate that was given up because it took too much work."""
 
 
+DISMISSED = "dismissed"
+"""Reason of a candidate that the rod already shows to be no better than the best one, or to fail: its strain,
+friction and clearance are the rod's (`planners.foresight`)."""
+
+
 @dataclass
 class Candidate:
     """One retraction that a planner tried, and what came of it."""
@@ -30,8 +35,8 @@ class Candidate:
     status: str = "waiting"
     """waiting, searching, squeezing, squeezed, moving, done"""
     reason: str | None = None
-    """why it ended: a certificate's reason, "pruned", "unmeshable", TOO_COSTLY, PROMISING, or in a planner's
-    own words; None while under way"""
+    """why it ended: a certificate's reason, "pruned", "unmeshable", TOO_COSTLY, PROMISING, DISMISSED, or in a
+    planner's own words; None while under way"""
     max_strain: float = math.nan
     """eps_max so far"""
     required_friction: float = math.nan
@@ -107,6 +112,11 @@ class Contestant:
     def __init__(self, grasp: Grasp, path: JawPath):
         """What it begins with."""
         self.grasp, self.path = grasp, path
+
+    @property
+    def is_content(self) -> bool:
+        """Whether it hands in what it begins with and nothing else."""
+        return type(self).propose is Contestant.propose
 
     def propose(self, on_increment: Callable[[], None]) -> Proposals:  # noqa: ARG002, it tries nothing itself
         """on_increment: to be called at each increment of what it tries itself; what it raises ends that.

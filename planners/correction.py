@@ -62,13 +62,14 @@ class Correction:
 
     def needed_friction(self, felt: Array) -> Array:
         """(..., t) the greater friction that both jaws need, of what `apply` gives; inf where one pulls."""
-        return _needed(felt) + self.friction
+        return needed_friction(felt) + self.friction
 
 
-def _needed(felt: Array) -> Array:
+def needed_friction(felt: Array) -> Array:
+    """(...,) the greater one of both jaws, of what a rod felt, (..., FELT); inf where one pulls."""
     normal, drag = felt[..., NORMAL], np.abs(felt[..., DRAG])
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(normal > 0, drag / normal, np.inf).max(-1)
+        return np.asarray(np.where(normal > 0, drag / normal, np.inf).max(-1))
 
 
 def correction(

@@ -4,10 +4,10 @@ Eq. 5 closes the jaws by an energy balance that knows nothing of friction. A fir
 more and needs less friction, a lighter one the other way round, both without a turn. So for each grasp and
 path there is one least compression that still holds, and it costs the least strain.
 
-It is sought by trial: on a coarse mesh first, which costs little and is within a few per cent, then by
-handing grips to the judge, until its verdict is that one needs just the friction allowed. What the grip needs
-must stay `MARGIN` below the limit, because the finite elements know jaw forces only to within 3 % and a real
-grip slips without warning.
+It is sought on the rod for places all along the flap. Where that strains least, it is sought by trial: on a
+coarse mesh first, which costs little and is within a few per cent, then by handing grips to the judge, until
+its verdict is that one needs just the friction allowed. What the grip needs must stay `MARGIN` below the
+limit, because the finite elements know jaw forces only to within 3 % and a real grip slips without warning.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from dataclasses import replace
 from planners.base import Contestant, Proposals, Verdict, verdict_of
 from planners.certify import Retraction
 from planners.effort import retract
+from planners.leads import lightest
 from planners.paths import PATHS
 from retract_env.grasp import Grasp, JawPath
 from retract_env.scene import Limits, Scene
@@ -43,7 +44,16 @@ SHUT = 1.05
 """No grip is sought between one that slips and one that breaks another limit, once they are this close."""
 
 
+PLACES = 2
+"""Where it is sought by trial, of those that the rod finds."""
+
 Compressions = Generator[float, Verdict, tuple[float, str]]
+
+
+def lightest_grips(scene: Scene) -> list[Grasp]:
+    """The places where the lightest grip that holds strains least on a CTC path, by the rod."""
+    allowed = (1 - MARGIN) * (1 - TOLERANCE / 2) * scene.limits.friction
+    return lightest(scene, PATHS["ctc"], allowed, PLACES)
 
 
 def least_compression(start: float, most: float, allowed: float) -> Compressions:

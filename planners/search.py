@@ -1,12 +1,17 @@
 """Generate candidates, certify them side by side, keep the one with least strain. Sec. IV-A, V-D.
 
-Three ways to go through the candidates give the same winner at different cost:
+Four ways to go through the candidates give the same winner at different cost, the last one but for what the
+rod's margins do not cover:
 
 * "none": every retraction to its end;
 * "bound" (the paper's): in order of the stability score; a retraction stops once its strain exceeds that of
   the best certified one;
 * "squeeze" (ours): squeeze all candidates first, which costs little and bounds their strain from below, then
-  retract best-first under the same bound; what squeezes worse than the best retraction is never moved at all.
+  retract best-first under the same bound; what squeezes worse than the best retraction is never moved at all;
+* "rod" (ours): follow all on the rod first (`planners.foresight`) and certify the best by that, so that there
+  is a bound before anything else is squeezed; what by the rod, less its margin, strains more than the best
+  certified one is dismissed without a mesh, and so is what breaks a limit by more than the margin. Where
+  nothing else is certified, the latter are tried after all.
 
 Planners that learn from verdicts enter the same race as `Contestant`s: each hands in a grasp and a path, a
 plain `Trial` judges them at the scene's own limits, and the contestant hears the verdict.
@@ -18,11 +23,13 @@ import math
 import threading
 import time
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
-from planners.base import TOO_COSTLY, Candidate, Contestant, NoPlan, Plan, Verdict, verdict_of
-from planners.certify import Certificate, Trial
+from planners.base import DISMISSED, TOO_COSTLY, Candidate, Contestant, NoPlan, Plan, Verdict, verdict_of
+from planners.certify import Trial
 from planners.effort import TooCostly, within_budget
+from planners.foresight import NOTHING, foresee
+from planners.runner import Clock, Runner, Winner
 from planners.side_by_side import Stop, side_by_side
 from retract_env.errors import Diverged, MeshError
 from retract_env.grasp import Grasp, JawPath
@@ -30,7 +37,9 @@ from retract_env.mesh import RESOLUTIONS
 from retract_env.scene import Scene
 from retract_env.threads import cores
 
-PRUNING = ("squeeze", "bound", "none")
+PRUNING = ("rod", "squeeze", "bound", "none")
+ROUNDING = 1e-5
+"""By what part the strain of a squeeze may differ where it is done in one increment."""
 OnUpdate = Callable[[Sequence[Candidate]], None]
 
 
@@ -41,7 +50,7 @@ def generate_and_test(
     resolution: str = "fine",
     workers: int | None = None,
     on_update: OnUpdate | None = None,
-    pruning: str = "squeeze",
+    pruning: str = "rod",
 ) -> Plan:
     """Certify proposals, best score first, and return the certified one with least maximum strain.
 
@@ -58,13 +67,14 @@ def race(
     resolution: str = "fine",
     workers: int | None = None,
     on_update: OnUpdate | None = None,
-    pruning: str = "squeeze",
+    pruning: str = "rod",
     tried: Sequence[Candidate] = (),
 ) -> Plan:
     """Judge what contestants hand in and return the certified retraction with least maximum strain.
 
-    The winner does not depend on pruning or workers (default: one a core): only what exceeds the best
-    certified strain is dropped, and equal strains go to the earlier contestant. tried: candidates of an
+    The winner does not depend on workers (default: one a core), nor on pruning, but for what the rod's
+    margins do not cover: only what exceeds the best certified strain is dropped, and equal strains go to the
+    earlier contestant. tried: candidates of an
     earlier search by the planner, which are listed before. Raises NoPlan where none is certified, ValueError
     for unknown pruning or resolution, workers below 1, or a contestant that begins off the flap.
     """
@@ -79,7 +89,12 @@ def race(
     workers = cores() if workers is None else workers
     start = time.perf_counter()
     under_way = _Race(scene, contestants, resolution, pruning, workers, on_update, tried)
-    if pruning == "squeeze":
+    if pruning == "rod":
+        under_way.foresee()
+        for group in under_way.hopeful_first():
+            side_by_side(under_way.lead_or_squeeze, group, workers, under_way.stop)
+            side_by_side(under_way.move, under_way.best_first(), workers, under_way.stop)
+    elif pruning == "squeeze":
         side_by_side(under_way.squeeze, range(len(contestants)), workers, under_way.stop)
         side_by_side(under_way.move, under_way.best_first(), workers, under_way.stop)
     else:
@@ -93,35 +108,6 @@ def race(
 
 
 # --- The race
-
-
-class _Winner:
-    """The best certified retraction so far."""
-
-    def __init__(self, index: int, trial: Trial):
-        self.grasp, self.path = trial.grasp, trial.path
-        self.certificate: Certificate = trial.certificate()
-        self.rank = trial.max_strain, index
-
-
-class _Runner:
-    """A contestant under way, in one thread at a time."""
-
-    def __init__(self, contestant: Contestant, candidate: Candidate, stop: Stop):
-        self.contestant, self.candidate = contestant, candidate
-        self.proposals = contestant.propose(stop)
-        self.trial: Trial | None = None
-        """of what it handed in last; None before and once it is done"""
-
-    @property
-    def done(self) -> bool:
-        return self.candidate.status == "done"
-
-    @property
-    def least_strain(self) -> float:
-        """What its retraction will strain at least."""
-        known = self.contestant.least_strain
-        return known if self.trial is None else max(known, self.trial.max_strain)
 
 
 class _Race:
@@ -148,13 +134,15 @@ class _Race:
             for i, contestant in enumerate(contestants)
         ]
         self.runners = [
-            _Runner(contestant, candidate, self.stop)
+            Runner(contestant, candidate, self.stop)
             for contestant, candidate in zip(contestants, self.candidates, strict=True)
         ]
         self.prune = pruning != "none"
         self.on_update = on_update
-        self.best: _Winner | None = None
+        self.best: Winner | None = None
         self.bound = math.inf
+        self.leader: int | None = None
+        """who is being moved although others are not squeezed yet"""
         self.spare = workers + 1
         self.seconds: defaultdict[str, float] = defaultdict(float)
         self._lock = threading.Lock()
@@ -164,13 +152,73 @@ class _Race:
         self.move(i)
 
     def best_first(self) -> list[int]:
-        return sorted(range(len(self.runners)), key=lambda i: (self.runners[i].least_strain, i))
+        """Those that are squeezed, by what they will strain at least."""
+        waiting = (i for i, candidate in enumerate(self.candidates) if candidate.status == "squeezed")
+        return sorted(waiting, key=lambda i: (self.runners[i].least_strain, i))
 
-    def squeeze(self, i: int) -> None:
-        """Let a contestant hand in what it begins with, and close the jaws on that."""
+    def foresee(self) -> None:
+        """Follow on the rod what those hand in that hand in one thing only."""
+        start = time.perf_counter()
+        known = [runner for runner in self.runners if runner.contestant.is_content]
+        found = foresee(self.scene, [(r.contestant.grasp, r.contestant.path) for r in known])
+        for runner, foreseen in zip(known, found, strict=True):
+            runner.foreseen = foreseen
+        self.seconds["rod"] += time.perf_counter() - start
+
+    def hopeful_first(self) -> Iterator[list[int]]:
+        """Those that may hold, the best by the rod first; then the others, which are dismissed if one of the
+        former was certified."""
+
+        def rank(i: int) -> tuple[bool, float, int]:
+            foreseen = self.runners[i].foreseen
+            return not foreseen.holds, 0.0 if math.isnan(foreseen.strain) else foreseen.strain, i
+
+        order = sorted(range(len(self.runners)), key=rank)
+        yield [i for i in order if not self.runners[i].foreseen.hopeless]
+        hopeless = [i for i in order if self.runners[i].foreseen.hopeless]
+        if self.best is None:
+            yield hopeless
+        else:
+            for i in hopeless:
+                self._dismiss(i)
+
+    def lead_or_squeeze(self, i: int) -> None:
+        """Move it to its end at once where that may set the bound; else only squeeze it."""
+        if self._dismissed(i):
+            return
+        with self._lock:
+            known = self.runners[i].foreseen is not NOTHING
+            leads = known and self.leader is None and self.best is None
+            if leads:
+                self.leader = i
+        if leads:
+            self.both(i)
+            self.leader = None
+        else:
+            self.squeeze(i, at_once=True)
+
+    def _dismissed(self, i: int) -> bool:
+        """Whether, by the rod, it strains more than the best certified one, and so was dismissed."""
+        if self.runners[i].foreseen.least_strain > self.bound:
+            self._dismiss(i)
+            return True
+        return False
+
+    def _dismiss(self, i: int) -> None:
+        foreseen = self.runners[i].foreseen
+        self.runners[i].trial = None
+        self._finish(i, Verdict(DISMISSED, foreseen.strain, foreseen.friction, foreseen.clearance))
+
+    def squeeze(self, i: int, at_once: bool = False) -> None:
+        """Let a contestant hand in what it begins with, and close the jaws on that.
+
+        at_once: in one increment, where nothing else is handed in: that bounds the strain for less, and is
+        done again, as the judge does it, should the turn to move come.
+        """
         self._tell(i, "squeezing")
-        with _Clock(self.candidates[i]):
-            verdict = self._next(i, None)
+        with Clock(self.candidates[i]):
+            content = self.runners[i].contestant.is_content
+            verdict = self._glance(i) if at_once and content else self._next(i, None)
         if verdict is not None:
             self._finish(i, verdict)
         else:
@@ -180,9 +228,9 @@ class _Race:
     def move(self, i: int) -> None:
         """Retract what a contestant handed in, and what it hands in thereafter."""
         runner = self.runners[i]
-        if runner.done:
+        if runner.done or self._dismissed(i):
             return
-        with _Clock(self.candidates[i]) as clock:
+        with Clock(self.candidates[i]) as clock:
 
             def step() -> None:
                 self.stop()
@@ -228,7 +276,25 @@ class _Race:
             if verdict is None:
                 return None
 
-    def _squeezed(self, runner: _Runner) -> Verdict | None:
+    def _glance(self, i: int) -> Verdict | None:
+        """Close the jaws in one increment; returns the verdict where the trial ends with that."""
+        runner = self.runners[i]
+        runner.trial = trial = Trial(self.scene, *next(runner.proposals), self.resolution)
+        try:
+            trial.squeeze(within_budget(trial, self.stop), increments=1)
+        except MeshError:
+            return Verdict("unmeshable")
+        except TooCostly:
+            return self._squeezed(runner)
+        self._account(runner)
+        if trial.ended:  # the judge closes the jaws in more increments
+            return self._squeezed(runner)
+        if trial.max_strain > (1 + ROUNDING) * self.bound:
+            return verdict_of(trial, "pruned")
+        trial.physics = None
+        return None
+
+    def _squeezed(self, runner: Runner) -> Verdict | None:
         """Close the jaws; returns the verdict where the trial ends with that."""
         trial = runner.trial
         assert trial is not None
@@ -240,14 +306,14 @@ class _Race:
             return verdict_of(trial, TOO_COSTLY)
         return verdict_of(trial) if trial.ended else None
 
-    def _retracted(self, runner: _Runner, step: Callable[[], None]) -> Verdict:
+    def _retracted(self, runner: Runner, step: Callable[[], None]) -> Verdict:
         trial, known, doubt = runner.trial, runner.contestant.least_strain, runner.contestant.doubt
         assert trial is not None
 
         def limit() -> float:
             return (1 + doubt) * self.bound
 
-        if known > self.bound or trial.max_strain > limit():
+        if known > self.bound or trial.max_strain > (1 + ROUNDING) * limit():
             return verdict_of(trial, "pruned")
         if trial.physics is None:
             ended = self._squeezed(runner)
@@ -266,13 +332,13 @@ class _Race:
             assert runner.trial is not None and runner.trial.reason == "ok", "only the judge says ok"
             with self._lock:
                 if self.best is None or (runner.trial.max_strain, i) < self.best.rank:
-                    self.best = _Winner(i, runner.trial)
+                    self.best = Winner(i, runner.trial)
                 if self.prune:
                     self.bound = min(self.bound, runner.trial.max_strain)
         runner.proposals.close()
         self._tell(i, "done", verdict)
 
-    def _account(self, runner: _Runner) -> None:
+    def _account(self, runner: Runner) -> None:
         """Count the seconds of work on a trial."""
         if runner.trial is not None and runner.trial.physics is not None:
             with self._lock:
@@ -326,20 +392,3 @@ class _Race:
                 except BaseException:
                     self.stop.now = True  # the other threads learn of it at once
                     raise
-
-
-class _Clock:
-    """Counts the seconds within it to a candidate."""
-
-    def __init__(self, candidate: Candidate):
-        self.candidate = candidate
-
-    def __enter__(self) -> _Clock:
-        self._start = time.perf_counter() - self.candidate.seconds
-        return self
-
-    def lap(self) -> None:
-        self.candidate.seconds = time.perf_counter() - self._start
-
-    def __exit__(self, *_: object) -> None:
-        self.lap()

@@ -13,6 +13,8 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from planners.base import DISMISSED
+
 if TYPE_CHECKING:
     from planners.base import Candidate
     from retract_env.grasp import Grasp
@@ -22,6 +24,7 @@ PLAIN_WIDTH = 100
 """columns of the table where no terminal sets them"""
 
 _WORDS = {"ok": "certified", "not_visible": "not visible"}
+"""Other reasons are said as they are; `DISMISSED` candidates show the rod's numbers, marked ~."""
 _COLUMNS = (
     "#",
     "grasp\nmm",
@@ -98,14 +101,15 @@ class CandidateTable:
         return table
 
     def _cells(self, c: Candidate) -> tuple[str | Text, ...]:
+        about = "~" if c.reason == DISMISSED else ""  # the rod's numbers
         return (
             str(c.index + 1),
             f"{c.grasp.x * MM:.2f}",
             f"{c.grasp.compression * MM:.2f}" if c.grasp.force is None else f"{c.grasp.force * MN:.1f} mN",
             _number(c.grasp.score, ".3g"),
-            _number(c.max_strain, ".3f"),
-            _number(c.required_friction, ".2f"),
-            _number(c.clearance * MM, ".2f"),
+            about + _number(c.max_strain, ".3f"),
+            about + _number(c.required_friction, ".2f"),
+            about + _number(c.clearance * MM, ".2f"),
             "chosen" if self._is_chosen(c) else outcome(c),
             f"{c.seconds:.1f}" if c.seconds else "",
         )
@@ -124,7 +128,7 @@ class CandidateTable:
 
     def _line(self, c: Candidate) -> str:
         measured = [
-            f"{name} {_number(value, form)}"
+            f"{name} {'~' if c.reason == DISMISSED else ''}{_number(value, form)}"
             for name, value, form in (
                 ("strain", c.max_strain, ".3f"),
                 ("friction", c.required_friction, ".2f"),

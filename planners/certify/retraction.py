@@ -100,11 +100,14 @@ class Retraction:
     def clearance(self) -> float:
         return self.frames[-1].clearance if self.frames else math.nan
 
-    def squeeze(self, on_increment: Callable[[], None] = lambda: None) -> None:
+    def squeeze(
+        self, on_increment: Callable[[], None] = lambda: None, increments: int = SQUEEZE_INCREMENTS
+    ) -> None:
         """Mesh the flap, let it rest on its bed and close the jaws; starts anew when called again.
 
         The strain of the squeeze bounds that of the whole retraction from below. on_increment: called after
-        each increment; what it raises ends the squeeze. Raises MeshError.
+        each increment; what it raises ends the squeeze. increments: one costs least, and tells the strain to
+        a millionth. Raises MeshError.
         """
         self.physics = physics = FemPhysics(self.scene, self.grasp.x, self.resolution, force=self.grasp.force)
         self.reason, self.max_strain, self.required_friction = None, 0.0, 0.0
@@ -114,7 +117,7 @@ class Retraction:
             self.frames, self._shapes = [physics.reset()], [physics.displacements]
         except Diverged:
             found = "diverged"
-        for part in np.linspace(0, 1, SQUEEZE_INCREMENTS + 1)[1:]:
+        for part in np.linspace(0, 1, increments + 1)[1:]:
             if found in (None, "ok"):
                 found = self._advance(float(part))
                 on_increment()

@@ -9,8 +9,9 @@ be. Cutting planes and HiGHS find the best step within a trust region, and it is
 elements agree (Fletcher's method for composite functions). Where eps_1% has kinks, as on a coarse mesh,
 quasi-Newton methods such as SLSQP stall.
 
-The place of the grasp is chosen from a few around the one that `planners.eased` finds. It matters little
-then: whoever may choose grip and path loses two per cent by grasping a tenth of the flap aside.
+It begins with the plans that are best on the rod (`planners.swift`), one from each place where that search
+begins, and keeps the places of their grasps. They matter little: whoever may choose grip and path loses two
+per cent by grasping a tenth of the flap aside.
 """
 
 from __future__ import annotations
@@ -25,18 +26,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planners import eased, paths
+from planners import paths
 from planners.base import Contestant, Plan, Proposals
 from planners.effort import TooCostly, check
 from planners.fem_gradient.sensitivity import LinearStrain, Response, Sensitivity
 from planners.search import OnUpdate, race
 from planners.side_by_side import Stop, side_by_side
+from planners.swift import program as rods
+from planners.swift.planner import Search
 from retract_env.errors import Diverged, MeshError
 from retract_env.grasp import Grasp, JawPath
-from retract_env.mesh import jaw_range
 from retract_env.objectives import WORST_FRACTION, worst_mean
 from retract_env.physics.fem import FemPhysics
-from retract_env.scene import Scene
+from retract_env.scene import Scene, Uncertainty
 from retract_env.threads import cores
 
 Array = NDArray[np.float64]
@@ -92,13 +94,12 @@ CUTS, GAP = 40, 5e-4
 """Rounds of cutting planes, at most, and how far from the best step they may end."""
 HOLDS = 0.02
 """A path counts as one that holds up to this violation, as a part of the greatest jaw force."""
-
-ASIDE = (-0.05, 0.0, 0.05)
-"""Shifts of the grasp, over the length, from the place that `eased` finds; all are tried."""
 SEARCHED_ON = "coarse"
 POLISHED = 1
 """Best places of the coarse mesh that are improved further on the mesh that certifies; a second one costs as
 much again and gains less than 1 %."""
+BY_THE_ROD = rods.STRETCH, rods.PART, rods.GRIP
+"""The unknowns of `planners.swift` that STRETCH, PART and GRIP are."""
 CORRECTIONS = 2
 """How often a path that needs too much friction is improved again, each time allowed less of it."""
 
@@ -342,42 +343,40 @@ def plan_fem_gradient(
     workers: int | None,
     on_update: OnUpdate | None,
 ) -> Plan:
-    """Search places on the coarse mesh, improve the path at the best one on the one asked for, certify.
+    """Search on the rod, improve what that finds on the coarse mesh, the best of it on the one asked for,
+    certify.
 
-    What `eased` finds on the coarse mesh is the start, and a contestant beside. Raises NoPlan.
+    What the rod finds is a contestant beside. Raises NoPlan.
     """
     start = time.perf_counter()
-    searched = eased.search(scene, on_update)
-    held = searched.best_first[:1]
-    begin = held[0] if held else searched.tried[0].grasp
-    low, high = jaw_range(scene.tissue.length, scene.jaws.width)
-    aside = (begin.x + part * scene.tissue.length for part in ASIDE)
-    places = sorted({float(np.clip(x, low, high)) for x in aside})
+    ranked = Search(scene.model_copy(update={"uncertainty": Uncertainty.none()})).ranked()
+    starts = [begun(scene, plan.unknowns) for plan in ranked]
     workers = cores() if workers is None else workers
     stop = Stop()
-    programs = side_by_side(partial(_searched, scene, begin.compression, stop), places, workers, stop)
+    programs = side_by_side(partial(_searched, scene, stop), starts, workers, stop)
     solved = sorted(
         (p for p in programs if p is not None),
         key=lambda p: (p.standing(p.responses).violation > HOLDS, p.max_strain, p.x),
     )[:POLISHED]
     found = time.perf_counter()
     contestants: list[Contestant] = [Polished(scene, p.x, p.unknowns, resolution) for p in solved]
-    contestants += [Contestant(grasp, eased.eased(scene, grasp)) for grasp in held]
-    plan = race(scene, contestants, KIND, resolution, workers, on_update, tried=searched.tried)
+    contestants.append(Contestant(*jaw_path(scene, *starts[0])))
+    plan = race(scene, contestants, KIND, resolution, workers, on_update)
     timings = {**plan.timings, "search": found - start, "total": time.perf_counter() - start}
     return replace(plan, timings=timings)
 
 
-def _searched(scene: Scene, compression: float, on_increment: Callable[[], None], x: float) -> Program | None:
-    """The program solved on the coarse mesh at x, m, begun with an eased path; None where that fails."""
-    line, height = scene.line_of_sight, scene.tissue.height
-    turn = float(paths.arc_turn(1 / paths.goal_radius(line.camera, line.target), -x, height))
-    unknowns = np.empty(11)
-    unknowns[TURN], unknowns[PART], unknowns[GRIP] = turn, eased.TURN, compression / height
-    unknowns[STRETCH] = eased.STRETCH * np.array([1, 2, 3]) / 3
+def _searched(scene: Scene, on_increment: Callable[[], None], start: tuple[float, Array]) -> Program | None:
+    """The program solved on the coarse mesh, from a place, m, and unknowns (11,); None where that fails."""
     try:
-        program = Program(scene, x, unknowns, SEARCHED_ON, on_increment)
+        program = Program(scene, *start, SEARCHED_ON, on_increment)
         program.solve()
     except (Diverged, MeshError, TooCostly):
         return None
     return program
+
+
+def begun(scene: Scene, unknowns: Array) -> tuple[float, Array]:
+    """Place of the grasp, m, and unknowns (11,) of a plan by `planners.swift`, unknowns (14,)."""
+    own = np.concatenate([[unknowns[rods.TURN]], *(unknowns[s] for s in BY_THE_ROD)])
+    return float(unknowns[rods.PLACE]) * scene.tissue.length, own

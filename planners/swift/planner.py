@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from planners import eased, paths
 from planners.base import PROMISING, Candidate, Contestant, Plan, Proposals
 from planners.correction import Correction, correction
+from planners.leads import apart
 from planners.search import OnUpdate, race
 from planners.swift.program import (
     BEYOND,
@@ -299,6 +300,18 @@ class Search:
                 found = replace(found, clearance=np.minimum(found.clearance, self.correction.clearance))
             self.correction, self.heard = found, self.sample is not None
             self.reserve = EXACT if self.sample is None else RESERVE
+
+
+def best_grasps(scene: Scene, count: int) -> list[Grasp]:
+    """Grasps of the best plans on the rod if all is as the scene says, the best first, at most `count`; they
+    close as the jaws do at first."""
+    search = Search(scene.model_copy(update={"uncertainty": Uncertainty.none()}))
+    length, height = scene.tissue.length, scene.tissue.height
+    grasps = [
+        Grasp(float(f.unknowns[PLACE]) * length, float(f.unknowns[GRIP.start]) * height)
+        for f in search.ranked()
+    ]
+    return apart(grasps, scene, count)
 
 
 class Swift(Contestant):

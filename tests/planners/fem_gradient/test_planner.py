@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Sequence
 from functools import cache
-from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -16,7 +15,6 @@ from planners import eased, effort
 from planners.base import Candidate, NoPlan, Plan
 from planners.certify import certify
 from planners.effort import TooCostly
-from planners.fem_gradient import planner as fem_gradient
 from planners.fem_gradient.planner import (
     ENOUGH,
     GRIP,
@@ -28,6 +26,7 @@ from planners.fem_gradient.planner import (
     TURN,
     UNITS,
     Program,
+    begun,
     jaw_path,
     motion,
     motion_slope,
@@ -36,6 +35,7 @@ from planners.fem_gradient.sensitivity import Response, Sensitivity
 from planners.light_grip import LightGrip
 from planners.paths import arc_turn, ctc, goal_radius
 from planners.search import race
+from planners.swift import program as program_of_the_rod
 from retract_env.mesh import Resolution
 from retract_env.objectives import clearance, required_friction, worst_mean
 from retract_env.physics.fem import FemPhysics
@@ -162,22 +162,22 @@ def test_paths_begin_squeezed_in_place() -> None:
 
 def test_no_step_promises_what_the_finite_elements_found() -> None:
     """The program's eps_1% is `worst_mean`, to the last digits that its solver gives."""
-    begun = program()
-    merit = begun._merit(begun.unknowns, begun.responses)
-    _, promised = begun._step(1e-9)
+    first = program()
+    merit = first._merit(first.unknowns, first.responses)
+    _, promised = first._step(1e-9)
     assert promised == pytest.approx(merit, abs=1e-5)
 
 
 def test_linear_models_are_off_by_the_square_of_the_step() -> None:
-    begun = program()
-    slopes = motion_slope(begun.scene, begun.x, begun.unknowns, TIMES)
-    linear, (slack, slack_slope) = begun._strained(slopes), begun._constraints(slopes)
-    step, _ = begun._step(0.5)
+    first = program()
+    slopes = motion_slope(first.scene, first.x, first.unknowns, TIMES)
+    linear, (slack, slack_slope) = first._strained(slopes), first._constraints(slopes)
+    step, _ = first._step(0.5)
     errors = []
     for part in (0.2, 0.05):
-        poses = motion(begun.scene, begun.x, begun.unknowns + part * UNITS * step, TIMES)
-        responses = [begun.sensitivity.at(p, r) for p, r in zip(poses, begun.responses, strict=True)]
-        standing = begun.standing(responses)
+        poses = motion(first.scene, first.x, first.unknowns + part * UNITS * step, TIMES)
+        responses = [first.sensitivity.at(p, r) for p, r in zip(poses, first.responses, strict=True)]
+        standing = first.standing(responses)
         promised = max(pose.worst(part * step)[0] for pose in linear)
         # the friction cones' rows come first, then the lowest nodes, in the models; their least, in the truth
         cones = len(standing.slack) - 1
@@ -189,10 +189,10 @@ def test_linear_models_are_off_by_the_square_of_the_step() -> None:
 
 
 def test_a_path_that_slips_and_hides_the_target_comes_to_hold_and_to_clear() -> None:
-    begun = program()
-    before = begun.standing(begun.responses)
+    first = program()
+    before = first.standing(first.responses)
     assert before.violation > HOLDS
-    solved = Program(HOMOGENEOUS, GRASP.x, begun.unknowns, "coarse")
+    solved = Program(HOMOGENEOUS, GRASP.x, first.unknowns, "coarse")
     solved.solve()
     after = solved.standing(solved.responses)
     assert after.violation < HOLDS
@@ -204,8 +204,14 @@ def test_a_path_that_slips_and_hides_the_target_comes_to_hold_and_to_clear() -> 
 
 @cache
 def planned(workers: int = 1) -> Plan:
-    with patch.object(fem_gradient, "ASIDE", (-0.05, 0.0)):
-        return planners.plan(HOMOGENEOUS, KIND, "coarse", workers)
+    return planners.plan(HOMOGENEOUS, KIND, "coarse", workers)
+
+
+def test_it_begins_with_the_path_that_is_best_on_the_rod() -> None:
+    u = np.array([-0.6, 2.0, 0.01, 0.02, 0.03, 0.8, 0.9, 1.0, 0.1, 0.09, 0.08, 0.07, 1.0, 0.0])
+    x, own = begun(HOMOGENEOUS, u)
+    theirs = program_of_the_rod.motion(HOMOGENEOUS, u[None], TIMES)[0]
+    assert np.allclose(motion(HOMOGENEOUS, x, own, TIMES), theirs, rtol=0, atol=1e-15)
 
 
 def test_it_spares_the_tissue_more_than_light_grip_and_eased_do() -> None:
@@ -226,18 +232,17 @@ def test_its_certificate_is_the_certifiers() -> None:
 
 
 def test_an_optimisation_that_takes_too_much_work_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    begun = program()
-    monkeypatch.setattr(effort, "MOST_ITERATIONS", begun.sensitivity.iterations // 2)
+    first = program()
+    monkeypatch.setattr(effort, "MOST_ITERATIONS", first.sensitivity.iterations // 2)
     with pytest.raises(TooCostly, match="iterations, allowed"):
-        Program(HOMOGENEOUS, GRASP.x, begun.unknowns, "coarse")
+        Program(HOMOGENEOUS, GRASP.x, first.unknowns, "coarse")
 
 
 def test_workers_make_no_difference() -> None:
     assert planned(2).to_json() == planned().to_json()
 
 
-def test_an_interrupt_in_an_update_comes_out_and_leaves_no_thread(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fem_gradient, "ASIDE", (0.0,))
+def test_an_interrupt_in_an_update_comes_out_and_leaves_no_thread() -> None:
     before = set(threading.enumerate())
 
     def update(candidates: Sequence[Candidate]) -> None:
@@ -249,9 +254,8 @@ def test_an_interrupt_in_an_update_comes_out_and_leaves_no_thread(monkeypatch: p
     assert set(threading.enumerate()) == before
 
 
-def test_what_no_path_can_do_is_no_plan(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_no_path_can_do_is_no_plan() -> None:
     """A flap that may hardly be strained cannot be bent away."""
-    monkeypatch.setattr(fem_gradient, "ASIDE", (0.0,))
     strict: Scene = a_scene(strain=0.02)
     with pytest.raises(NoPlan, match="strain"):
         planners.plan(strict, KIND, "coarse", 1)

@@ -1,0 +1,57 @@
+"""A contestant under way in the race, what is kept of the best one, and how long each was at work."""
+
+from __future__ import annotations
+
+import time
+
+from planners.base import Candidate, Contestant
+from planners.certify import Certificate, Trial
+from planners.foresight import NOTHING
+from planners.side_by_side import Stop
+
+
+class Winner:
+    """The best certified retraction so far."""
+
+    def __init__(self, index: int, trial: Trial):
+        self.grasp, self.path = trial.grasp, trial.path
+        self.certificate: Certificate = trial.certificate()
+        self.rank = trial.max_strain, index
+
+
+class Runner:
+    """A contestant under way, in one thread at a time."""
+
+    def __init__(self, contestant: Contestant, candidate: Candidate, stop: Stop):
+        self.contestant, self.candidate = contestant, candidate
+        self.proposals = contestant.propose(stop)
+        self.trial: Trial | None = None
+        """of what it handed in last; None before and once it is done"""
+        self.foreseen = NOTHING
+
+    @property
+    def done(self) -> bool:
+        return self.candidate.status == "done"
+
+    @property
+    def least_strain(self) -> float:
+        """What its retraction will strain at least."""
+        known = max(self.contestant.least_strain, self.foreseen.least_strain)
+        return known if self.trial is None else max(known, self.trial.max_strain)
+
+
+class Clock:
+    """Counts the seconds within it to a candidate."""
+
+    def __init__(self, candidate: Candidate):
+        self.candidate = candidate
+
+    def __enter__(self) -> Clock:
+        self._start = time.perf_counter() - self.candidate.seconds
+        return self
+
+    def lap(self) -> None:
+        self.candidate.seconds = time.perf_counter() - self._start
+
+    def __exit__(self, *_: object) -> None:
+        self.lap()
