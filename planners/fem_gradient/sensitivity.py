@@ -122,8 +122,8 @@ class Sensitivity:
         equilibrium.factorize(u)
         if equilibrium.counts["shifts"] > shifts:
             raise Diverged("the equilibrium is not stable")
-        # with the tangent at hand, one more step takes the error far below the solver's tolerance, another one
-        # below what the factorisation leaves, which is of single precision
+        # with the tangent at hand, one more step takes the error far below the solver's tolerance, another
+        # one below what the factorisation leaves, which is of single precision
         for _ in range(REFINED):
             u[model.free] -= equilibrium.factor.solve(force[model.free])
             force = model.residual(u)[1]
