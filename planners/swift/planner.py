@@ -120,7 +120,6 @@ class Search:
         self.correction = Correction.none(len(TIMES))
         self.heard = False
         self.reserve = UNJUDGED
-        self.evaluations = 0
 
     def starts(self) -> list[Array]:
         """Where the search begins: eased paths from a few places."""
@@ -250,7 +249,6 @@ class Search:
                 active = active.joined(self.sample.chosen(new))
             program = self._program(active)
             unknowns, _, _ = program.solve(unknowns, steps, radius if round_ == 0 else radius / 2)
-            self.evaluations += program.evaluations
         return self.look(unknowns)
 
     def _failing(self, unknowns: Array) -> list[int]:

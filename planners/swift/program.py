@@ -23,6 +23,7 @@ from retract_env.grasp import Grasp, JawPath
 from retract_env.mesh import jaw_range
 from retract_env.rod.follow import CLEAR, DRAG, NORMAL, STRAIN, TOUCHES
 from retract_env.scene import Scene
+from retract_env.spring import PRESSED
 
 Array = NDArray[np.float64]
 
@@ -50,10 +51,6 @@ for _row, _first in enumerate((5, 6, 8, 9, 10), start=2):
 ROUGHNESS[[7, 8], [12, 13]] = 1
 EVEN[7] = 1.0 / UNITS[BEYOND.start]
 
-PRESSED = 2.58
-"""Force over E w d, the jaws' width and the flap's depth, of a squeeze by the whole height, if it were
-linear: the median of random flaps. A grip by force is told as the compression that presses so."""
-
 DIFFERENCE = 1e-4
 """Of UNITS, for derivatives."""
 UNIT = 0.05
@@ -64,8 +61,8 @@ PENALTY = 20.0
 """What one unit of a violated constraint counts there."""
 CLEARANCE = 0.05
 """Clearance over the length that counts as a violation of 1."""
-FRICTION = 1.0
-"""Likewise, of friction over its limit."""
+HOLDING = 0.01
+"""Likewise, E h d, what jaws drag beyond what their friction holds, over the friction that there is."""
 GAIN = 4e-3
 """The search ends once the linear program promises to gain less than this."""
 TRIED = ((0, 1.0), (0, 0.5), (0, 0.25), (1, 1.0), (1, 0.5), (1, 0.2))
@@ -102,7 +99,8 @@ def motion(scene: Scene, unknowns: Array, times: Array = TIMES) -> Array:
 
 
 def force_of(scene: Scene, unknowns: Array) -> Array:
-    """(...,) N, of grips by force, of which the first coefficient of the compression tells."""
+    """(...,) N, of grips by force: that with which a squeeze by the first coefficient of the compression
+    presses."""
     tissue = scene.tissue
     unit = PRESSED * tissue.modulus * scene.jaws.width * (scene.jaws.depth or tissue.depth)
     return np.asarray(unknowns[..., GRIP.start] * unit)
@@ -127,10 +125,8 @@ class Standing:
     strain: Array
     """(k, t) eps_1%"""
     slip: Array
-    """(k, t, 2) of both jaws, what they drag beyond what their friction holds, over what it holds once
-    closed; negative where they hold"""
-    friction: Array
-    """(k, t) the greater one that is needed"""
+    """(k, t, 2) of both jaws, what they drag beyond what their friction holds, over HOLDING and the friction
+    that there is; negative where they hold"""
     clearance: Array
     """(k, t) over the length"""
     shown: Array
@@ -166,8 +162,6 @@ class Program:
         if by_force:  # one number tells the force
             self.low[GRIP.start + 1 : GRIP.stop] = self.high[GRIP.start + 1 : GRIP.stop] = 0.1
         self.low[PLACE], self.high[PLACE] = least / scene.tissue.length, greatest / scene.tissue.length
-        self.evaluations = 0
-        self.force = 1e-2
         self.rough = ROUGHNESS.copy()
         if by_force:
             self.rough[:, GRIP] = 0.0
@@ -179,21 +173,18 @@ class Program:
         poses = motion(self.scene, unknowns)
         force = force_of(self.scene, unknowns) if self.by_force else None
         done = flaps.follow(unknowns[:, PLACE] * length, poses, force=force)
-        self.evaluations += m * k
         felt = self.correction.apply(done.felt.reshape(k, m, len(TIMES), -1))
         strain, clearance = felt[..., STRAIN], felt[..., CLEAR] / length
-        friction = self.correction.needed_friction(felt)
         normal, drag = felt[..., NORMAL], np.abs(felt[..., DRAG])
         holds = np.maximum(flaps.friction - self.reserve, 1e-3)[:, None, None, None]
-        slip = (drag + (self.correction.friction[:, None] - holds) * normal) / (holds * self.force)
+        slip = (drag + (self.correction.friction[:, None] - holds) * normal) / (holds * HOLDING)
         in_view = clearance >= self.clear
         last = len(TIMES) - 1
         shown = np.where(in_view.any(-1), in_view.argmax(-1), last)
         touches = (felt[..., TOUCHES] > 0) & (np.arange(last + 1) <= shown[..., None])
         sound = ~(done.lost.reshape(k, m) | touches.any(-1))
         return tuple(
-            Standing(strain[:, j], slip[:, j], friction[:, j], clearance[:, j], shown[:, j], sound[:, j])
-            for j in range(m)
+            Standing(strain[:, j], slip[:, j], clearance[:, j], shown[:, j], sound[:, j]) for j in range(m)
         )
 
     def violations(self, s: Standing) -> Array:
