@@ -35,9 +35,9 @@ FLOORS = {
         "physics", "task", "given", "rollout", "drawing", "env", "vector",
     ),
     "planners": (
-        "side_by_side", "correction", "whatif", "certify", "paths", "base", "effort", "foresight", "runner",
-        "proposals", "leads", "search", "deform_closure", "light_grip", "eased", "swift", "elastica",
-        "fem_gradient",
+        "side_by_side", "linear", "correction", "whatif", "certify", "paths", "base", "effort", "foresight",
+        "runner", "proposals", "leads", "search", "deform_closure", "light_grip", "eased", "swift",
+        "elastica", "fem_gradient",
     ),
     "baselines": ("jobs", "pictures", "learning", "benchmark", "paper", "cli"),
 }  # fmt: skip

@@ -194,15 +194,12 @@ def statement(
     MOST_JUDGED draws, and all others count as failing.
     """
     z = draws(asked.samples, asked.seed)
-    by_rod: Counter[str] = Counter()
     corrected = corrected_by(scene, grasp, path, certificate.history)
     if corrected is None:
         level, reason = np.full(len(z), -1.0), np.full(len(z), "diverged", object)
-        near = np.zeros(len(z))
     else:
         flaps = Flaps(scene, z, grasp.force or math.nan)
         level, reason = levels(followed(scene, grasp, path, flaps, corrected))
-        near = level
     missed = np.where(level > 0, exceeded(np.maximum(level, 0.0)), 0.0)
     held = (level > 0) & (missed <= RARE)
     fails = level == -2.0
@@ -223,16 +220,14 @@ def statement(
 
     on_judged(0, len(in_question))
     side_by_side(judge, in_question, cores(), stop)
-    for i in np.flatnonzero(fails).tolist():
-        by_rod[str(reason[i])] += 1
     undecided = len(between) - len(judged)
-    failures = by_rod + Counter(found for found in judged.values() if found != "ok")
+    failures = Counter(map(str, reason[fails])) + Counter(end for end in judged.values() if end != "ok")
     if undecided:
         failures["undecided"] = undecided
     count = sum(failures.values())
     sampled, overlooked = upper_bound(count, asked.samples, asked.beta), float(missed.mean())
     bound = min(1.0, sampled + overlooked)
-    order = sorted(range(len(z)), key=lambda i: (judged.get(i, "ok") == "ok", float(near[i]), i))
+    order = sorted(range(len(z)), key=lambda i: (judged.get(i, "ok") == "ok", float(level[i]), i))
     return {
         "holds": certificate.certified and bound <= asked.eps,
         "eps": asked.eps,
@@ -290,7 +285,7 @@ def sensitivities(
 ) -> dict[str, dict[str, float]]:
     """Derivatives of the greatest strain and friction, and of the clearance at the end, by each unknown.
 
-    `unit` says by what: a part of the nominal value ("1") or metres; `half_range` is the prior's, so that
+    By parts of the nominal value or by metres, as the prior has them; `half_range` is the prior's, so that
     derivative times half_range is what that ignorance costs. By central differences on the rod.
     """
     probed = probe(scene)
@@ -311,14 +306,13 @@ def sensitivities(
     out: dict[str, dict[str, float]] = {}
     for i, name in enumerate(UNKNOWNS):
         unit = _half_range(probed.uncertainty, name)
-        found = {
+        strain, friction, clearance = (slopes[:, i] / unit).tolist()
+        out[name] = {
             "half_range": _half_range(scene.uncertainty, name),
-            **{
-                q: float(s)
-                for q, s in zip(("strain", "friction", "clearance"), slopes[:, i] / unit, strict=True)
-            },
+            "strain": strain,
+            "friction": friction,
+            "clearance": clearance,
         }
-        out[name] = found
     return out
 
 

@@ -21,7 +21,6 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +29,7 @@ from planners import paths
 from planners.base import Contestant, Plan, Proposals
 from planners.effort import TooCostly, check
 from planners.fem_gradient.sensitivity import LinearStrain, Response, Sensitivity
+from planners.linear import minimised
 from planners.search import OnUpdate, race
 from planners.side_by_side import Stop, side_by_side
 from planners.swift import program as rods
@@ -248,8 +248,6 @@ class Program:
         that were greatest where its earlier answers led, until no other is greater by more than GAP. Its
         columns: step, greatest strain, greatest violation, roughness.
         """
-        from scipy.optimize import linprog  # takes as long to import as all of this package
-
         slopes = motion_slope(self.scene, self.x, self.unknowns, TIMES)
         poses = self._strained(slopes)
         slack, slack_slope = self._constraints(slopes)
@@ -273,13 +271,7 @@ class Program:
                 break
             rows.append(np.array([[*slope, -1.0, *[0.0] * (lines + 1)] for _, _, slope in means]))
             bounds.append(np.array([-constant for _, constant, _ in means]))
-            result: Any = linprog(
-                cost,
-                np.concatenate(rows),
-                np.concatenate(bounds),
-                bounds=list(zip(low.tolist(), high.tolist(), strict=True)),
-                method="highs",
-            )
+            result = minimised(cost, rows, bounds, low, high)
             if result.x is None:
                 raise Diverged(f"HiGHS on a linear program that has a solution: {result.message}")
             at = result.x

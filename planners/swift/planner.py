@@ -248,7 +248,7 @@ class Search:
                 assert self.sample is not None
                 active = active.joined(self.sample.chosen(new))
             program = self._program(active)
-            unknowns, _, _ = program.solve(unknowns, steps, radius if round_ == 0 else radius / 2)
+            unknowns = program.solve(unknowns, steps, radius if round_ == 0 else radius / 2)
         return self.look(unknowns)
 
     def _failing(self, unknowns: Array) -> list[int]:

@@ -11,13 +11,13 @@ region, and it is taken back unless the rod agrees (Fletcher's method for compos
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planners import paths
 from planners.correction import Correction
+from planners.linear import minimised
 from planners.whatif import Flaps
 from retract_env.grasp import Grasp, JawPath
 from retract_env.mesh import jaw_range
@@ -166,9 +166,9 @@ class Program:
         if by_force:
             self.rough[:, GRIP] = 0.0
 
-    def standing(self, unknowns: Array, flaps: Flaps | None = None) -> tuple[Standing, ...]:
+    def standing(self, unknowns: Array) -> tuple[Standing, ...]:
         """Of each of m paths, unknowns (m, COUNT)."""
-        flaps = self.flaps if flaps is None else flaps
+        flaps = self.flaps
         m, k, length = len(unknowns), len(flaps), self.scene.tissue.length
         poses = motion(self.scene, unknowns)
         force = force_of(self.scene, unknowns) if self.by_force else None
@@ -186,10 +186,6 @@ class Program:
         return tuple(
             Standing(strain[:, j], slip[:, j], clearance[:, j], shown[:, j], sound[:, j]) for j in range(m)
         )
-
-    def violations(self, s: Standing) -> Array:
-        """(k,) of each flap, the greatest; 0 where all holds, inf where the flap was lost."""
-        return np.maximum(self.excess(s), 0.0)
 
     def excess(self, s: Standing) -> Array:
         """(k,) by how much each flap's nearest limit is exceeded, negative where all holds; inf where the
@@ -212,12 +208,11 @@ class Program:
 
     def merit(self, unknowns: Array, s: Standing) -> float:
         rough = float(np.abs(self.rough @ (unknowns / UNITS) - EVEN).sum())
-        worst = float(self.violations(s).max())
+        worst = max(0.0, float(self.excess(s).max()))
         return self.strain(s) / UNIT + PENALTY * worst + SMOOTH * rough
 
-    def solve(self, unknowns: Array, steps: int, radius: float = RADIUS) -> tuple[Array, Standing, float]:
-        """Improve unknowns (COUNT,), step by step, until no step promises to gain more: the best, what it
-        amounts to, and its merit."""
+    def solve(self, unknowns: Array, steps: int, radius: float = RADIUS) -> Array:
+        """Improve unknowns (COUNT,), step by step, until no step promises to gain more."""
         at = np.clip(unknowns, self.low, self.high)
         standings = self._around(at)
         now = self.merit(at, standings[0])
@@ -240,7 +235,7 @@ class Program:
                     break
             else:
                 radius /= 10
-        return at, standings[0], now
+        return at
 
     def _around(self, unknowns: Array) -> tuple[Standing, ...]:
         """At unknowns, and with each of them changed."""
@@ -251,8 +246,6 @@ class Program:
 
         The linear program's columns: step, greatest strain, greatest violation, roughness.
         """
-        from scipy.optimize import linprog  # takes as long to import as all of this package
-
         at, *beside = standings
 
         def slope(name: str) -> Array:
@@ -297,13 +290,7 @@ class Program:
         low, high = np.zeros(len(cost)), np.full(len(cost), np.inf)
         low[:COUNT] = np.maximum(-radius, (self.low - unknowns) / UNITS)
         high[:COUNT] = np.minimum(radius, (self.high - unknowns) / UNITS)
-        result: Any = linprog(
-            cost,
-            np.concatenate(rows),
-            np.concatenate(bounds),
-            bounds=list(zip(low.tolist(), high.tolist(), strict=True)),
-            method="highs",
-        )
+        result = minimised(cost, rows, bounds, low, high)
         if result.x is None:
             return np.zeros(COUNT), np.inf
         return result.x[:COUNT], float(result.fun)
