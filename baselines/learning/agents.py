@@ -7,6 +7,7 @@ same course as one that was not.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -19,7 +20,7 @@ from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import VecNormalize
 
-from baselines.learning.envs import arguments, seed_of
+from baselines.learning.envs import seed_of
 from baselines.learning.fields import RecipeError
 from baselines.learning.policies import Policy
 from planners.certify import FAILURES
@@ -45,12 +46,15 @@ class Agent:
         self.stats = cast(RunningMeanStd, envs.obs_rms)  # of one vector, not of a dictionary
         self.started = ""
         """name of the policy that this one began from, if it did"""
+        self.ended: Counter[str] = Counter()
+        """how the episodes of this leg ended: "" with success, else what failed"""
         limit_torch(torch)
         shape = {
             "net_arch": list(recipe.network.sizes),
             "activation_fn": ACTIVATIONS[recipe.network.activation],
         }
         self.model: Any = self.learner.build(envs, shape, seed_of(seed))
+        self.model.lr_schedule = lambda _: self.rate()  # its own would count from leg to leg
         self.model.set_logger(configure(None, []))  # what goes to standard output is the progress bar's
 
     @classmethod
@@ -71,14 +75,20 @@ class Agent:
     def steps(self) -> int:
         return int(self.model.num_timesteps)
 
+    def rate(self) -> float:
+        """The learning rate now."""
+        done = min(1.0, self.steps / self.recipe.steps)
+        return float(self.learner.learning_rate * (1.0 - (1.0 - self.learner.decay) * done))
+
     def learn(self, steps: int, on_step: OnStep) -> None:
         """One leg of so many steps, or a few more, as whole updates need."""
         seed = seed_of(self.seed, self.steps)
         set_random_seed(seed)
         self.model.action_space.seed(seed)
         self.envs.seed(seed)
+        self.ended.clear()
         self.model._last_obs = None  # so that the environments are reset
-        callback = _Watch(on_step, self.learner)
+        callback = _Watch(on_step, self.learner, self.ended)
         self.model.learn(steps, callback, log_interval=4, reset_num_timesteps=False)
 
     def record(self, values: Mapping[str, float]) -> None:
@@ -100,7 +110,7 @@ class Agent:
             clip=self.recipe.observation.clip,
             activation=self.recipe.network.activation,
             output=self.learner.actor.output,
-            env={"id": PHYSICS[self.recipe.task.physics].env_id, "kwargs": arguments(self.recipe.task)},
+            env={"id": PHYSICS[self.recipe.task.physics].env_id, "kwargs": self.recipe.task.arguments},
         )
 
     def begin_from(self, policy: Policy) -> None:
@@ -175,12 +185,13 @@ class _Watch(BaseCallback):
     """Tells of progress, logs what becomes of episodes, and keeps the actor as it is while the critic alone
     is to learn."""
 
-    def __init__(self, on_step: OnStep, learner: Learner):
+    def __init__(self, on_step: OnStep, learner: Learner, ended: Counter[str]):
         super().__init__()
-        self._tell, self._learner = on_step, learner
+        self._tell, self._learner, self._ended = on_step, learner, ended
         self._critic_first: int = getattr(learner, "critic_first", 0)
 
     def _on_rollout_start(self) -> None:
+        self._learner.before_rollout(self.model)
         self._learner.let_actor_learn(self.model, self.num_timesteps >= self._critic_first)
 
     def _on_step(self) -> bool:
@@ -194,6 +205,7 @@ class _Watch(BaseCallback):
         """Means over the episodes since the last line of the log; infos: of those that are over now."""
         logger = self.logger
         failures = ["" if info["is_success"] else info["failure"] or "not_visible" for info in infos]
+        self._ended.update(failures)
         sums = {f"failures/{reason}": float(failures.count(reason)) for reason in FAILURES}
         for name in infos[0]["episode_terms"]:
             sums[f"rewards/{name}"] = sum(info["episode_terms"][name] for info in infos)

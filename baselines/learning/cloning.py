@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
@@ -55,9 +54,8 @@ class Cloner(Agent):
         rng = torch.Generator().manual_seed(seed_of(self.seed, self.steps))
         count, size = len(self._inputs), self.how.batch_size
         for _ in range(steps):
-            done = self.steps / self.recipe.steps
             for group in self.optimizer.param_groups:
-                group["lr"] = self.how.learning_rate * (1 + math.cos(math.pi * done)) / 2
+                group["lr"] = self.rate()
             batch = torch.randint(count, (size,), generator=rng)
             inputs = self._inputs[batch]
             inputs[:, SLICES["k_eq"]] += self.how.stiffness_noise * torch.randn(

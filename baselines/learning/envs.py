@@ -66,17 +66,12 @@ def outcome(env: gym.Env[Any, Any], policy: Policy, scene: Mapping[str, Any] | N
     }
 
 
-def arguments(settings: EnvSettings) -> dict[str, Any]:
-    """Keyword arguments of the environment."""
-    return {"scene": settings.scene, "grasp": settings.grasp, "resolution": settings.resolution}
-
-
 def make_env(settings: EnvSettings, rank: int, of: int) -> gym.Env[Any, Any]:
     """One environment with its statistics of episodes."""
     if multiprocessing.parent_process() is not None:
         # Ctrl-C reaches the whole group of processes; when to end is the parent's to say
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-    env = gym.make(PHYSICS[settings.physics].env_id, disable_env_checker=True, **arguments(settings))
+    env = gym.make(PHYSICS[settings.physics].env_id, disable_env_checker=True, **settings.arguments)
     return Monitor(Judged(env, rank, of))
 
 
@@ -86,7 +81,7 @@ def make_envs(recipe: Recipe, count: int) -> VecNormalize:
     kind = PHYSICS[recipe.task.physics]
     envs: VecEnv
     if kind.vector:
-        batch = gym.make_vec(kind.env_id, count, autoreset_mode="SameStep", **arguments(recipe.task))
+        batch = gym.make_vec(kind.env_id, count, autoreset_mode="SameStep", **recipe.task.arguments)
         envs = BatchVecEnv(batch)
     else:
         makers: list[Callable[[], gym.Env[Any, Any]]] = [
@@ -98,7 +93,9 @@ def make_envs(recipe: Recipe, count: int) -> VecNormalize:
             with single_threaded():
                 envs = SubprocVecEnv(makers)
     seen = recipe.observation
-    return VecNormalize(envs, norm_reward=False, clip_obs=seen.clip, epsilon=seen.floor**2)
+    return VecNormalize(
+        recipe.learner.environment(envs), norm_reward=False, clip_obs=seen.clip, epsilon=seen.floor**2
+    )
 
 
 def judge(
@@ -106,13 +103,25 @@ def judge(
 ) -> list[dict[str, Any]]:
     """Outcomes in the order of the scenes; the episodes under way are lost."""
     if isinstance(envs.unwrapped, BatchVecEnv):  # a single one is fast enough there
-        env = gym.make(policy.env["id"], disable_env_checker=True, **policy.env["kwargs"])
-        try:
-            return [outcome(env, policy, scene) for scene in scenes]
-        finally:
-            env.close()
+        return play(policy, scenes, policy.env["id"], policy.env["kwargs"])
     shares = envs.env_method("play", policy, scenes)
     return [shares[k % envs.num_envs][k // envs.num_envs] for k in range(len(scenes))]
+
+
+def play(
+    policy: Policy, scenes: Sequence[Mapping[str, Any] | None], env_id: str, arguments: Mapping[str, Any]
+) -> list[dict[str, Any]]:
+    """Outcomes of an episode in each scene in one environment made for it; None is its own scene."""
+    env = gym.make(env_id, disable_env_checker=True, **arguments)
+    try:
+        return [outcome(env, policy, scene) for scene in scenes]
+    finally:
+        env.close()
+
+
+def play_on_fem(policy: Policy, scenes: Sequence[Mapping[str, Any] | None]) -> list[dict[str, Any]]:
+    """Outcomes on coarse finite elements, all else as the policy was trained."""
+    return play(policy, scenes, PHYSICS["fem"].env_id, {**policy.env["kwargs"], "resolution": None})
 
 
 def seed_of(*numbers: int) -> int:

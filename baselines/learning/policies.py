@@ -71,6 +71,9 @@ class _Judged(_Part):
     strain: Real | None = None
     total: Real | None = None
     length: Real | None = None
+    broken: Annotated[float, Range(0.0, 1.0)] | None = None
+    fem_success: Annotated[float, Range(0.0, 1.0)] | None = None
+    fem_strain: Real | None = None
     seconds: Real | None = None
 
 

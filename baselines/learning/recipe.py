@@ -8,7 +8,7 @@ from __future__ import annotations
 from os import PathLike
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import BeforeValidator, SerializeAsAny, model_validator
+from pydantic import BeforeValidator, Field, SerializeAsAny, model_validator
 
 from baselines.learning.algorithms import ALGORITHMS, Learner
 from baselines.learning.fields import Count, Part, RecipeError
@@ -34,14 +34,44 @@ def _scene(value: Any) -> Any:
     return value
 
 
+def _read_by(model: str) -> BeforeValidator:
+    """Plain data that a model of `retract_env.task` takes; that is imported where there are any."""
+
+    def check(value: Any) -> Any:
+        if not isinstance(value, dict):
+            raise refusal(f" = {brief(value)}, not a mapping")
+        if value:
+            from retract_env import task
+
+            try:
+                getattr(task, model).from_data(value)
+            except ConfigError as error:
+                raise refusal(f".{error}") from None
+        return value
+
+    return BeforeValidator(check)
+
+
 class EnvSettings(Part):
     """What is learned on: arguments of the environment."""
 
-    physics: Annotated[str, one_of(PHYSICS)] = "fem"
+    physics: Annotated[str, one_of(PHYSICS)] = "rod"
     scene: Annotated[Name | dict[str, Any], BeforeValidator(_scene)] = "random"
     """as the environment takes it: "random", a file, or plain data"""
     grasp: Literal["agent", "spring"] = "agent"
     resolution: Name | None = None
+    grip: Literal["compression", "force"] | None = None
+    """None: the task's"""
+    task: Annotated[dict[str, Any], _read_by("TaskConfig")] = Field(default_factory=dict)
+    """what differs from the task's defaults"""
+    sensors: Annotated[dict[str, Any], _read_by("Sensors")] = Field(default_factory=dict)
+
+    @property
+    def arguments(self) -> dict[str, Any]:
+        """Keyword arguments of the environment, without those that are empty."""
+        given = self.model_dump(mode="json", exclude={"physics"})
+        optional = {"grip", "task", "sensors"}
+        return {name: value for name, value in given.items() if value or name not in optional}
 
     @model_validator(mode="after")
     def _resolution_is_the_physics(self) -> Self:
@@ -84,6 +114,8 @@ class Evaluation(Part):
     """Steps between further checkpoints; None: at evaluations only."""
     scenes: Annotated[int, whole(1, 1000)] = 16
     """So many of the validation split; a recipe with a scene of its own is judged on that one."""
+    fem: Annotated[int, whole(0, 1000)] = 8
+    """On so many of these it is also played on coarse finite elements, where it learns on something else."""
 
 
 def learner_of(algorithm: object) -> type[Learner]:
@@ -130,13 +162,7 @@ class Recipe(Part):
 
     def dump(self) -> dict[str, Any]:
         """Plain data that `from_data` and a YAML file take back."""
-        data = self.model_dump(mode="json")
-        # runs from before there were these keep their hash
-        if data["evaluation"]["checkpoint"] is None:
-            del data["evaluation"]["checkpoint"]
-        if data["envs"] is None:
-            del data["envs"]
-        return data
+        return self.model_dump(mode="json")
 
 
 def load_recipe(path: str | PathLike[str]) -> Recipe:

@@ -22,7 +22,7 @@ import numpy as np
 from baselines.jobs.files import write_json, written_whole
 from baselines.learning.agents import Agent
 from baselines.learning.checkpoints import CheckpointError, read_checkpoint, write_checkpoint
-from baselines.learning.envs import judge, make_envs
+from baselines.learning.envs import judge, make_envs, play_on_fem
 from baselines.learning.policies import Policy, load_policy, save_policy
 from baselines.learning.recipe import Recipe
 from retract_env.errors import ConfigError
@@ -30,6 +30,9 @@ from retract_env.given import read_scene
 from retract_env.physics.registry import PHYSICS
 
 RUN, CHECKPOINT, CURVE, POLICY, LOG = "run.json", "checkpoint.pt", "curve.csv", "policy", "tensorboard"
+
+BROKEN = ("strain", "slip", "release", "contact")
+"""How episodes end in which a limit was broken."""
 
 Scenes = Sequence[Mapping[str, Any] | None]
 
@@ -193,16 +196,33 @@ def _resumed(run: Run, agent: Agent, folder: Path) -> _Course | None:
 
 
 def _judged(run: Run, agent: Agent, policy: Policy) -> dict[str, Any]:
-    """A line of the curve. Its quality is the mean of 1 - strain / limit where it succeeds, 0 elsewhere."""
+    """A line of the curve. Its quality is the mean of 1 - strain / limit where it succeeds, 0 elsewhere.
+
+    `broken` is the share of episodes since the last checkpoint, exploration and all, that broke a limit. What
+    begins with `fem_` is of the same policy on coarse finite elements, on the first of the scenes.
+    """
     outcomes = judge(agent.envs, policy, run.scenes)
     good = [o for o in outcomes if o["success"]]
-    return {
+    line = {
         "steps": agent.steps,
-        "success": len(good) / len(outcomes),
+        **_summary(outcomes),
         "quality": float(sum(1 - o["strain"] for o in good)) / len(outcomes),
-        "strain": float(np.mean([o["strain"] for o in good])) if good else 1.0,
         "total": float(np.mean([o["total"] for o in outcomes])),
         "length": float(np.mean([o["steps"] for o in outcomes])),
+        "broken": sum(agent.ended[reason] for reason in BROKEN) / max(1, agent.ended.total()),
+    }
+    if run.recipe.task.physics != "fem" and run.recipe.evaluation.fem:
+        beside = _summary(play_on_fem(policy, run.scenes[: run.recipe.evaluation.fem]))
+        line |= {f"fem_{name}": value for name, value in beside.items()}
+    return line
+
+
+def _summary(outcomes: Sequence[Mapping[str, Any]]) -> dict[str, float]:
+    """Share of episodes that succeed, and their mean strain over its limit, 1 where none does."""
+    strains = [o["strain"] for o in outcomes if o["success"]]
+    return {
+        "success": len(strains) / len(outcomes),
+        "strain": float(np.mean(strains)) if strains else 1.0,
     }
 
 

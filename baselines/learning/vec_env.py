@@ -48,6 +48,8 @@ class BatchVecEnv(VecEnv):
         self._actions: NDArray[Any] = np.empty(0)
         self._returns, self._lengths = np.zeros(self.num_envs), np.zeros(self.num_envs, np.int64)
         self._terms = {name: np.zeros(self.num_envs) for name in TERMS}
+        self.costs: Mapping[str, NDArray[np.float64]] = {}
+        """`cost_terms` of the last step, (n,) each"""
         self._start = time.time()
 
     def reset(self) -> NDArray[np.float32]:
@@ -79,6 +81,14 @@ class BatchVecEnv(VecEnv):
         for name, sums in self._terms.items():
             sums += infos["reward_terms"][name]
         dones = terminated | truncated
+        self.costs = infos["cost_terms"]
+        if dones.any():  # of the step that ended an episode, not of the reset after it
+            final = infos["final_info"]["cost_terms"]
+            self.costs = {
+                name: np.where(dones, final[name], cost)
+                for name, cost in self.costs.items()
+                if not name.startswith("_")
+            }
         told = [NOTHING] * self.num_envs
         if dones.any():
             for k, info in self._last(infos, dones, truncated & ~terminated).items():

@@ -73,6 +73,8 @@ SAC: dict[str, Any] = {
 }
 LEARNERS: dict[str, dict[str, Any]] = {
     "ppo": PPO,
+    "ppo_lagrangian": PPO
+    | {"allowed": {"strain": 0.01, "friction": 0.01}, "multiplier": 1.0, "multiplier_rate": 0.1},
     "sac": SAC,
     "tqc": SAC | {"critics": 2, "quantiles": 10, "dropped": 1},
     "bc": {

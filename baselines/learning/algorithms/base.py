@@ -5,11 +5,11 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-from baselines.learning.fields import Part
+from baselines.learning.fields import Part, Rate, Share
 
 if TYPE_CHECKING:
     import torch
-    from stable_baselines3.common.vec_env import VecNormalize
+    from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 
 class Actor(ABC):
@@ -38,6 +38,11 @@ class Learner(Part):
     AGENT: ClassVar[str] = "baselines.learning.agents:Agent"
     """Who learns by it, "module:Class"; made by the class' method `of`."""
 
+    learning_rate: Rate
+    """At the start."""
+    decay: Share = 1.0
+    """Part of the learning rate that is left at the end; it falls evenly."""
+
     @property
     def actor(self) -> Actor:
         assert self.ACTOR is not None
@@ -46,6 +51,13 @@ class Learner(Part):
     def build(self, envs: VecNormalize, shape: dict[str, Any], seed: int) -> Any:
         """The model, untrained. shape: `net_arch` and `activation_fn` of its networks."""
         raise NotImplementedError
+
+    def environment(self, envs: VecEnv) -> VecEnv:
+        """What it learns in: the environments, or a wrapper of them."""
+        return envs
+
+    def before_rollout(self, model: Any) -> None:
+        """Called each time before environments are stepped for the next updates."""
 
     def let_actor_learn(self, model: Any, learns: bool) -> None:
         """Whether updates change the policy as well, or the critic alone."""

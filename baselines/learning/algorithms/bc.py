@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 from pydantic import BeforeValidator
 
 from baselines.learning.algorithms.base import ALGORITHMS, Actor, Learner
-from baselines.learning.fields import Count, Rate, Share, Weight
+from baselines.learning.fields import Count, Share, Weight
 from retract_env.config import Name, brief, refusal
 
 if TYPE_CHECKING:
@@ -34,8 +34,6 @@ class BC(Learner):
     """The algorithm whose policy it fits, so that this one can go on from the result."""
     dataset: Name
     """A Minari data set."""
-    learning_rate: Rate
-    """At the start; it falls to zero as a cosine."""
     batch_size: Count
     weight_decay: Share
     grasp_weight: Weight

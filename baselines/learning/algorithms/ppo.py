@@ -32,7 +32,6 @@ class PPO(Learner):
 
     ACTOR: ClassVar[Actor | None] = GaussianActor()
 
-    learning_rate: Rate
     rollout: Annotated[int, whole(2, 10**9)]
     """Steps of each environment between updates."""
     batch_size: Annotated[int, whole(2, 10**9)]

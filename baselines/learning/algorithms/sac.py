@@ -35,7 +35,6 @@ class SAC(Learner):
 
     ACTOR: ClassVar[Actor | None] = SquashedActor()
 
-    learning_rate: Rate
     buffer: Count
     """Transitions that are remembered."""
     warmup: Steps

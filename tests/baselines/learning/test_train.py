@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -25,7 +26,7 @@ from baselines.jobs.version import PACKAGES
 from baselines.learning import train
 from baselines.learning.agents import Agent, _Watch
 from baselines.learning.checkpoints import MAGIC, CheckpointError, read_checkpoint, write_checkpoint
-from baselines.learning.envs import make_envs
+from baselines.learning.envs import judge, make_envs
 from baselines.learning.fields import RecipeError
 from baselines.learning.policies import TENSORS, Policy, PolicyError, load_policy, save_policy
 from baselines.learning.vec_env import BatchVecEnv
@@ -40,6 +41,7 @@ TINY: dict[str, dict[str, Any]] = {
     "ppo": {"rollout": 16, "batch_size": 8, "epochs": 2},
     "sac": {"warmup": 8, "batch_size": 8, "buffer": 40},
     "tqc": {"warmup": 8, "batch_size": 8, "buffer": 40},
+    "ppo_lagrangian": {"rollout": 16, "batch_size": 8, "epochs": 2},
 }
 """Runs of 48 steps, with checkpoints after 16, 32 and 48; the replay buffers run over."""
 
@@ -284,14 +286,23 @@ def test_a_folder_without_a_sound_run_is_refused(tmp_path: Path, content: str) -
         train.open_run(tmp_path)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("algorithm", "steps"), [("ppo", 1536), ("sac", 1500), ("tqc", 1500)])
-def test_each_algorithm_learns_to_lift(tmp_path: Path, algorithm: str, steps: int) -> None:
-    """An untrained policy hardly moves; within a minute each learns to bring the target into view."""
-    run = train.Run(recipe(algorithm, steps, 512), 0, 1, [None])
-    envs = make_envs(run.recipe, 1)
+@pytest.mark.parametrize(
+    ("algorithm", "steps", "settings"),
+    [
+        ("ppo", 8192, {"rollout": 16}),
+        ("ppo_lagrangian", 8192, {"rollout": 16}),
+        ("sac", 4096, {"updates": 8}),
+        ("tqc", 4096, {"updates": 8}),
+    ],
+)
+def test_each_algorithm_learns_to_lift(
+    tmp_path: Path, algorithm: str, steps: int, settings: dict[str, Any]
+) -> None:
+    """An untrained policy hardly moves; within seconds each learns to bring the target into view."""
+    run = train.Run(recipe(algorithm, steps, steps // 4, **settings), 0, 16, [None])
+    envs = make_envs(run.recipe, 16)
     untrained = Agent(run.recipe, envs, 0).policy()
-    before = envs.env_method("play", untrained, [None])[0][0]
+    before = judge(envs, untrained, [None])[0]
     envs.close()
     assert not before["success"]
     trained = train.train(run, tmp_path)
@@ -351,7 +362,7 @@ def test_logs_are_means_over_all_episodes_of_a_line() -> None:
     """However many are over in one step."""
     from stable_baselines3.common.logger import Logger
 
-    watch = _Watch(lambda _: None, recipe("ppo", 48, 16).learner)
+    watch = _Watch(lambda _: None, recipe("ppo", 48, 16).learner, Counter())
     watch.model = SimpleNamespace(logger=Logger(None, []))  # type: ignore[assignment]
     infos = [{"is_success": k == 0, "failure": "", "episode_terms": {"strain": float(k)}} for k in range(4)]
     for ended in (infos[:1], infos[1:]):
