@@ -12,6 +12,7 @@ from retract_env.grasp import Grasp
 from retract_env.mesh import jaw_range
 from retract_env.scene import Scene
 from retract_env.task.config import TaskConfig
+from retract_env.task.rules import grip_range
 
 Array = NDArray[np.float64]
 
@@ -36,28 +37,31 @@ def checked(action: ArrayLike) -> Array:
     return np.clip(numbers, -1.0, 1.0)
 
 
-def grasp_range(scene: Scene, config: TaskConfig = DEFAULT) -> tuple[Array, Array]:
-    """Least and greatest x, m, and compression, m, or force, N, (2,) each, of a grasp whose jaws fit on the
-    flap."""
-    tissue, width = scene.tissue, scene.jaws.width
+def _places(scene: Scene) -> tuple[float, float]:
+    """x, m, of the grasps nearest to the free and to the fixed end whose jaws fit on the flap."""
+    tissue = scene.tissue
     # a hair inside, because an action is a rounded number
-    nearest = jaw_range(tissue.length, width)[1] * (1 + 1e-6)
-    unit = tissue.modulus * width * tissue.depth if config.grip == "force" else tissue.height
-    low, high = (share * unit for share in config.firmness)
-    return np.array([-tissue.length, low]), np.array([nearest, high])
+    return -tissue.length, jaw_range(tissue.length, scene.jaws.width)[1] * (1 + 1e-6)
+
+
+def _unit(scene: Scene, config: TaskConfig) -> float:
+    """What grips are told in: m of compression, or N of force."""
+    tissue = scene.tissue
+    return tissue.modulus * scene.jaws.width * tissue.depth if config.grip == "force" else tissue.height
 
 
 def to_grasp(action: ArrayLike, scene: Scene, config: TaskConfig = DEFAULT) -> Grasp:
     """Grasp of a first action: -1 is the free end and the lightest grip, 1 the fixed end and the firmest.
 
-    In between, x goes linearly and compression or force geometrically. The third number has no meaning.
-    Raises ValueError as `checked`.
+    In between, x goes linearly and compression or force geometrically (`rules.grip_range`). The third number
+    has no meaning. Raises ValueError as `checked`.
     """
-    (near, light), (far, firm) = (ends.tolist() for ends in grasp_range(scene, config))
+    near, far = _places(scene)
+    (light, firm), tissue = config.firmness, scene.tissue
+    lightest, most = grip_range(light, firm, tissue.length, tissue.height)
     along, strength = ((checked(action)[:2] + 1) / 2).tolist()
-    firmness = min(
-        max(light * (firm / light) ** strength, light), firm
-    )  # a rounding error may leave the range
+    # a rounding error may leave the range
+    firmness = _unit(scene, config) * min(max(lightest * most**strength, lightest), firm)
     return Grasp(near + along * (far - near), **{config.grip: firmness})
 
 
@@ -69,9 +73,11 @@ def from_grasp(grasp: Grasp, scene: Scene, config: TaskConfig = DEFAULT) -> Arra
     (held_by, firmness), *_ = grasp.firmness.items()
     if held_by != config.grip:
         raise ValueError(f"grasp.{held_by} = {firmness:g}, allowed a grasp by {config.grip}, as the task's")
-    (near, light), (far, firm) = (ends.tolist() for ends in grasp_range(scene, config))
+    near, far = _places(scene)
+    (light, firm), tissue = config.firmness, scene.tissue
+    lightest, most = grip_range(light, firm, tissue.length, tissue.height)
     along = (grasp.x - near) / (far - near)
-    strength = np.log(firmness / light) / np.log(firm / light)
+    strength = np.log(firmness / (_unit(scene, config) * lightest)) / np.log(most)
     return np.append(np.clip([2 * along - 1, 2 * strength - 1], -1.0, 1.0), 0.0)
 
 

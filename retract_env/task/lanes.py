@@ -49,6 +49,7 @@ from retract_env.task.rules import (
     STRAIN_LIMIT,
     TERMS,
     exposed_above,
+    grip_range,
     exposed_beside,
     rest_clearance,
     verdict,
@@ -133,9 +134,10 @@ def act(lanes, rules, block, i, action):
     length, height, width = flap[LENGTH_M], flap[HEIGHT], flap[JAW_WIDTH]
     near, far = -length, -(0.5 + SLIVER) * width * (1 + 1e-6)
     unit = flap[MODULUS] * width * flap[DEPTH] if rules.by_force else height
-    light, firm = rules.firmness[0] * unit, rules.firmness[1] * unit
+    light, firm = rules.firmness[0], rules.firmness[1]
+    lightest, most = grip_range(light, firm, length, height)
     along, strength = (action[0] + 1) / 2, (action[1] + 1) / 2
-    firmness = min(max(light * (firm / light) ** strength, light), firm)
+    firmness = unit * min(max(lightest * most**strength, lightest), firm)
     compression, force = (np.nan, firmness) if rules.by_force else (firmness, np.nan)
     take(lanes, rules, block, i, near + along * (far - near), compression, force)
 

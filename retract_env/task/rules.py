@@ -28,6 +28,10 @@ TERMS = ("exposure", "clearance", "strain", "friction", "success", "failure")
 """of the reward, as `Weights` has them"""
 
 
+SLENDER = 0.088
+"""Height over length of the paper's flap, for which the task's ranges of compression and force are."""
+
+
 # No fastmath: every number has to be rounded as NumPy rounds it.
 @njit(cache=True, nogil=True, error_model="numpy")
 def between(at, station):
@@ -220,6 +224,19 @@ def verdict(strain, friction, clearance, limits, overlap):
     if overlap:
         return CONTACT
     return OK if clearance >= limits[CLEARANCE_LIMIT] else GOES_ON
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def grip_range(light, firm, length, height):
+    """The lightest grip of a flap, and the factor from there to a firmness of 1 in [0, 1].
+
+    light, firm: those of the task, over the flap's height or over E w d. What bends a flap grows with the
+    square of its height over its length, and what holds it has to grow as much: so does the lightest grip,
+    and flaps that differ in this alone want about the same action. The firmest is the task's for all.
+    """
+    slender = height / length / SLENDER
+    lightest = min(light * slender * slender, max(light, firm / 2))
+    return lightest, firm / min(light, lightest)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
