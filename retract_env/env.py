@@ -19,10 +19,10 @@ from gymnasium.error import ResetNeeded
 from numpy.typing import ArrayLike, NDArray
 
 from retract_env.drawing.stage import PIXELS, Stage
-from retract_env.given import read_grasp, read_scene, read_settings
+from retract_env.given import Unknowns, read_grasp, read_options, read_scene, read_settings
 from retract_env.grasp import Grasp
 from retract_env.physics.pool import PhysicsPool
-from retract_env.scene import Scene, sample_scene
+from retract_env.scene import UNKNOWNS, Scene, sample_scene
 from retract_env.scene.sampling import SceneRanges
 from retract_env.task import Outcome, RetractionTask, Sensors, TaskConfig, actions
 from retract_env.task.episode import Episode, EpisodeState
@@ -87,7 +87,7 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
 
     ## Observation Space
 
-    `obs="state"`: `Box(float32)` of shape (107,), whose parts `retract_env.task.SLICES` names. Values are
+    `obs="state"`: `Box(float32)` of shape (111,), whose parts `retract_env.task.SLICES` names. Values are
     clipped to their bounds. The bound 2 of strain and friction is the task's cap. `sensors` blurs parts of it
     or leaves them out.
 
@@ -110,6 +110,7 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
     | 104 | `max_friction` | greatest friction needed so far | 0 | 2 | limit |
     | 105 | `clearance` | signed distance of the lowest tissue to the line of sight | -3 | 3 | length |
     | 106 | `exposure` | fraction of the area of interest that the camera sees | 0 | 1 |  |
+    | 107-110 | `forces` | what the lower jaw presses and drags with, then the upper one | -10 | 10 | E w d |
 
     `obs="pixels"`: `Box(0, 255, (96, 96, 3), uint8)`, the section as the camera's plane shows it, coloured by
     strain.
@@ -231,6 +232,7 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
         ranges: Mapping[str, Any] | SceneRanges | None = None,
         sensors: Mapping[str, Any] | Sensors | None = None,
         grip: str | None = None,
+        unknowns: Unknowns = None,
     ):
         """Raises ValueError (ConfigError) for what is not allowed, ImportError where the physics needs a
         package that is missing."""
@@ -242,8 +244,8 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
         ):
             if value not in allowed:
                 raise ValueError(f"{name} = {value!r}, allowed {', '.join(map(str, allowed))}")
-        settings = read_settings(task, ranges, sensors, grip)
-        self.task_config, self._ranges, self._sensors = settings.task, settings.ranges, settings.sensors
+        self._settings = settings = read_settings(task, ranges, sensors, grip, unknowns)
+        self.task_config = settings.task
         self._scene = read_scene(scene)
         self._grasp = read_grasp(grasp)
         if ranges is not None and self._scene != "random":
@@ -287,15 +289,14 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
         Raises ValueError for others, Diverged where a grasp that was asked for cannot be squeezed.
         """
         super().reset(seed=seed)
-        options = options or {}
-        if unknown := set(options) - {"scene", "grasp", "line_of_sight"}:
-            raise ValueError(f"options: unknown {', '.join(sorted(unknown))}")
-        source = read_scene(options["scene"]) if "scene" in options else self._scene
-        scene = source if isinstance(source, Scene) else sample_scene(self.np_random, self._ranges)
-        if "line_of_sight" in options:
-            scene = Scene.from_data(scene.dump() | {"line_of_sight": options["line_of_sight"]})
-        grasp = read_grasp(options["grasp"]) if "grasp" in options else self._grasp
-        episode = self._begin(scene)
+        asked, settings = read_options(options), self._settings
+        source, grasp, z = asked.scene or self._scene, asked.grasp or self._grasp, asked.unknowns
+        scene = source if isinstance(source, Scene) else sample_scene(self.np_random, settings.ranges)
+        if asked.line_of_sight is not None:
+            scene = Scene.from_data(scene.dump() | {"line_of_sight": asked.line_of_sight})
+        if z is None and settings.unknowns is not None:
+            z = self.np_random.uniform(-1.0, 1.0, len(UNKNOWNS))
+        episode = self._begin(settings.prior(scene), z)
         if grasp != "agent":
             episode.take(grasp if isinstance(grasp, Grasp) else None)
         self._over = False
@@ -303,10 +304,10 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
             self._stage.show(episode)
         return self._observation(), episode.task.info(episode.now, None, Outcome())
 
-    def _begin(self, scene: Scene) -> Episode:
+    def _begin(self, scene: Scene, z: NDArray[np.float64] | None) -> Episode:
         """A new episode, which is over until it can go on."""
-        if self._task is None or self._task.scene != scene:
-            self._task = RetractionTask(scene, self.task_config)
+        if z is not None or self._task is None or self._task.z is not None or self._task.stated != scene:
+            self._task = RetractionTask(scene, self.task_config, z)
         self._over, self._episode = True, Episode(self._task, self._pool)
         return self._episode
 
@@ -360,7 +361,7 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
             asked, here = state.task.model_dump(), self.task_config.model_dump()
             names = ", ".join(name for name in here if asked[name] != here[name])
             raise ValueError(f"the state is of an environment whose task differs in {names}")
-        self._begin(state.episode.scene).set_state(state.episode)
+        self._begin(state.episode.stated, state.episode.z).set_state(state.episode)
         self._over = state.over
         self._np_random, self._np_random_seed = copy.deepcopy(state.random), state.seed
 
@@ -378,4 +379,4 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
         if self.obs == "pixels":
             return self._stage.pixels(self.episode)
         exact = self.episode.task.observation(self.episode.now)
-        return self._sensors.read(exact, self.task_config, self.np_random)
+        return self._settings.sensors.read(exact, self.task_config, self.np_random)
