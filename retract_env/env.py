@@ -88,8 +88,8 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
     ## Observation Space
 
     `obs="state"`: `Box(float32)` of shape (111,), whose parts `retract_env.task.SLICES` names. Values are
-    clipped to their bounds. The bound 2 of strain and friction is the task's cap. `sensors` blurs parts of it
-    or leaves them out.
+    clipped to their bounds. The bound 2 of strain and friction is the task's cap; the unit of `forces` is the
+    one above. `sensors` blurs parts of it or leaves them out.
 
     | Num | Name | Observation | Min | Max | Unit |
     | --- | --- | --- | --- | --- | --- |
@@ -130,19 +130,18 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
     A step's reward, and that of a whole episode, lies in `task_config.reward_range`, which is [-4.5, 4].
 
     `info` also holds `is_success`; `failure` ("", "strain", "slip", "release", "contact" or
-    "diverged"); for safe
-    reinforcement learning `cost`, how many limits are broken now, and `cost_terms`, by how much of itself
-    each of them, of `strain` and of `friction`, is exceeded now: 0 where it holds, at most the cap less 1,
-    also where a jaw would have to pull; `max_strain` and `required_friction`, the greatest so far;
-    `clearance` (m) and `exposure` now.
+    "diverged"); for safe reinforcement learning `cost`, how many limits are broken now, and `cost_terms`, by
+    how much of itself each of them, of `strain` and of `friction`, is exceeded now: 0 where it holds, at most
+    the cap less 1, also where a jaw would have to pull; `max_strain` and `required_friction`, the greatest so
+    far; `clearance` (m) and `exposure` now.
 
     ## Starting State
 
     The flap at rest and the gripper open in front of its free end. With a grasp that the environment takes,
     the jaws have closed on it already.
 
-    `reset(options=...)` changes one episode: `scene` and `grasp` as the arguments below, and `line_of_sight`
-    as a scene has it, `{"camera": [x, y], "target": [x, 0.0]}`.
+    `reset(options=...)` changes one episode: `scene` and `grasp` as the arguments below, `line_of_sight` as a
+    scene has it, `{"camera": [x, y], "target": [x, 0.0]}`, and `unknowns`.
 
     ## Episode End
 
@@ -188,10 +187,26 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
       episodes short, unseen by `time_left`.
     - `ranges` (`None`): what `scene="random"` draws from where it differs from
       `retract_env.scene.sampling.SceneRanges()`: `{"veins": [0, 5], "slope": [0.5, 1.2]}`.
+    - `unknowns` (`None`): True, and each episode is on a flap that is not quite what the scene says, see
+      below; a mapping does so with ranges that count instead of the scenes' own, `{"modulus": 0.5}`.
     - `sensors` (`None`): `{"noise": ..., "hide": [...]}`. `noise`: deviation of Gaussian noise on parts of
       the observation, in the units above, `{"strain": 0.1, "k_eq": 0.5}`, or a number for all parts but
       `holding` and `time_left`; it comes from the environment's seed and leaves no bound. `hide`: names of
       parts that are observed as 0.
+
+    ## Unknowns
+
+    With `unknowns` flap, grip and line of sight are drawn anew in each episode from the scene's own
+    `uncertainty` (docs/robustness.md), from the environment's seed. Physics, strain, needed friction and its
+    limit, clearance, exposure, rewards and the end are those of what was drawn. The policy knows what a
+    robot knows: `target`, `slope`, `nearness` and `k_eq`, and what its actions mean, are the scene's;
+    `gripper`, and `separation` where the jaws hold by compression, are where the jaws were sent to; a camera
+    sees the keypoints, and `forces` are felt, as they are.
+
+    `info["unknowns"]` is the draw, (11,) in [-1, 1], in the order of `retract_env.scene.UNKNOWNS`;
+    `reset(options={"unknowns": z})` makes one episode that draw, also without the argument. Jaws that turn
+    out not to close on the flap at all have let go: the episode ends with "release", one that would have
+    begun on this grasp with its first step.
 
     ## Copies
 
@@ -211,7 +226,8 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
 
     ## Version History
 
-    - v0: first version. Later with `grip`, whose default changes nothing.
+    - v0: first version. Later with `grip` and `unknowns`, whose defaults change nothing, and with `forces` at
+      the end of the observation, which was (107,) before.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012

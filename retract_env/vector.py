@@ -92,8 +92,9 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
     ## Reset
 
     `reset(seed=...)`: an int seeds environment k with seed + k; a list has a seed, or None, for each. Without
-    a seed the generators go on. `options`: `scene`, `grasp` and `line_of_sight` as the single environment has
-    them, for all environments that are reset, and `reset_mask`. `set_scene` puts any scene into any slot, for
+    a seed the generators go on. `options`: `scene`, `grasp`, `line_of_sight` and `unknowns` as the single
+    environment has them, for all environments that are reset (`unknowns` also (num_envs, 11), a draw for
+    each), and `reset_mask`. `set_scene` puts any scene into any slot, for
     good.
 
     ## Look-ahead

@@ -186,7 +186,7 @@ class RetractionTask:
         return {name: self._weights[name] * float(term) + 0.0 for name, term in terms.items()}  # no -0
 
     def info(self, now: Situation, terms: dict[str, float] | None, outcome: Outcome) -> dict[str, Any]:
-        """What a step says besides; the same keys in every step, plain values all.
+        """What a step says besides; the same keys in every step of an episode.
 
         terms: of the reward; None where there is none, after a reset. With `unknowns`, the draw, where the
         scene is not quite as it is stated.
