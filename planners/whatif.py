@@ -7,12 +7,11 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from retract_env.mesh import jaw_range
 from retract_env.physics.rod import flap_numbers, laws, sight_numbers
 from retract_env.rod.flap import HEIGHT, JAW_WIDTH, MODULUS, POISSON, SPECIFIC_WEIGHT
 from retract_env.rod.follow import Followed, Retractions, follow
 from retract_env.rod.measures import TARGET_X
-from retract_env.scenarios import values
+from retract_env.scenarios import shifted, values
 from retract_env.scene import Scene
 from retract_env.spring.columns import veins_of
 from retract_env.threads import cores
@@ -74,8 +73,8 @@ class Flaps:
         x, poses = np.asarray(x, float), np.asarray(poses, float)
         k, (m, t, _) = len(self), poses.shape
         height = self.flap[:, HEIGHT]
-        least, greatest = jaw_range(self.scene.tissue.length, self.scene.jaws.width)
-        at = np.clip(x + self.shift[:, None], least, greatest)
+        width = self.flap[:, JAW_WIDTH, None]
+        at = shifted.py_func(x, self.shift[:, None], self.scene.tissue.length, width)
         all_poses = np.empty((k, m, t, 4))
         all_poses[:] = poses
         all_poses[..., 0] += (at - x)[..., None]

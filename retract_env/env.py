@@ -19,10 +19,10 @@ from gymnasium.error import ResetNeeded
 from numpy.typing import ArrayLike, NDArray
 
 from retract_env.drawing.stage import PIXELS, Stage
-from retract_env.given import read_grasp, read_scene, read_settings
+from retract_env.given import Unknowns, read_grasp, read_options, read_scene, read_settings
 from retract_env.grasp import Grasp
 from retract_env.physics.pool import PhysicsPool
-from retract_env.scene import Scene, sample_scene
+from retract_env.scene import UNKNOWNS, Scene, sample_scene
 from retract_env.scene.sampling import SceneRanges
 from retract_env.task import Outcome, RetractionTask, Sensors, TaskConfig, actions
 from retract_env.task.episode import Episode, EpisodeState
@@ -87,9 +87,9 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
 
     ## Observation Space
 
-    `obs="state"`: `Box(float32)` of shape (107,), whose parts `retract_env.task.SLICES` names. Values are
-    clipped to their bounds. The bound 2 of strain and friction is the task's cap. `sensors` blurs parts of it
-    or leaves them out.
+    `obs="state"`: `Box(float32)` of shape (111,), whose parts `retract_env.task.SLICES` names. Values are
+    clipped to their bounds. The bound 2 of strain and friction is the task's cap; the unit of `forces` is the
+    one above. `sensors` blurs parts of it or leaves them out.
 
     | Num | Name | Observation | Min | Max | Unit |
     | --- | --- | --- | --- | --- | --- |
@@ -110,6 +110,7 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
     | 104 | `max_friction` | greatest friction needed so far | 0 | 2 | limit |
     | 105 | `clearance` | signed distance of the lowest tissue to the line of sight | -3 | 3 | length |
     | 106 | `exposure` | fraction of the area of interest that the camera sees | 0 | 1 |  |
+    | 107-110 | `forces` | what the lower jaw presses and drags with, then the upper one | -10 | 10 | E w d |
 
     `obs="pixels"`: `Box(0, 255, (96, 96, 3), uint8)`, the section as the camera's plane shows it, coloured by
     strain.
@@ -129,19 +130,18 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
     A step's reward, and that of a whole episode, lies in `task_config.reward_range`, which is [-4.5, 4].
 
     `info` also holds `is_success`; `failure` ("", "strain", "slip", "release", "contact" or
-    "diverged"); for safe
-    reinforcement learning `cost`, how many limits are broken now, and `cost_terms`, by how much of itself
-    each of them, of `strain` and of `friction`, is exceeded now: 0 where it holds, at most the cap less 1,
-    also where a jaw would have to pull; `max_strain` and `required_friction`, the greatest so far;
-    `clearance` (m) and `exposure` now.
+    "diverged"); for safe reinforcement learning `cost`, how many limits are broken now, and `cost_terms`, by
+    how much of itself each of them, of `strain` and of `friction`, is exceeded now: 0 where it holds, at most
+    the cap less 1, also where a jaw would have to pull; `max_strain` and `required_friction`, the greatest so
+    far; `clearance` (m) and `exposure` now.
 
     ## Starting State
 
     The flap at rest and the gripper open in front of its free end. With a grasp that the environment takes,
     the jaws have closed on it already.
 
-    `reset(options=...)` changes one episode: `scene` and `grasp` as the arguments below, and `line_of_sight`
-    as a scene has it, `{"camera": [x, y], "target": [x, 0.0]}`.
+    `reset(options=...)` changes one episode: `scene` and `grasp` as the arguments below, `line_of_sight` as a
+    scene has it, `{"camera": [x, y], "target": [x, 0.0]}`, and `unknowns`.
 
     ## Episode End
 
@@ -187,10 +187,26 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
       episodes short, unseen by `time_left`.
     - `ranges` (`None`): what `scene="random"` draws from where it differs from
       `retract_env.scene.sampling.SceneRanges()`: `{"veins": [0, 5], "slope": [0.5, 1.2]}`.
+    - `unknowns` (`None`): True, and each episode is on a flap that is not quite what the scene says, see
+      below; a mapping does so with ranges that count instead of the scenes' own, `{"modulus": 0.5}`.
     - `sensors` (`None`): `{"noise": ..., "hide": [...]}`. `noise`: deviation of Gaussian noise on parts of
       the observation, in the units above, `{"strain": 0.1, "k_eq": 0.5}`, or a number for all parts but
       `holding` and `time_left`; it comes from the environment's seed and leaves no bound. `hide`: names of
       parts that are observed as 0.
+
+    ## Unknowns
+
+    With `unknowns` flap, grip and line of sight are drawn anew in each episode from the scene's own
+    `uncertainty` (docs/robustness.md), from the environment's seed. Physics, strain, needed friction and its
+    limit, clearance, exposure, rewards and the end are those of what was drawn. The policy knows what a
+    robot knows: `target`, `slope`, `nearness` and `k_eq`, and what its actions mean, are the scene's;
+    `gripper`, and `separation` where the jaws hold by compression, are where the jaws were sent to; a camera
+    sees the keypoints, and `forces` are felt, as they are.
+
+    `info["unknowns"]` is the draw, (11,) in [-1, 1], in the order of `retract_env.scene.UNKNOWNS`;
+    `reset(options={"unknowns": z})` makes one episode that draw, also without the argument. Jaws that turn
+    out not to close on the flap at all have let go: the episode ends with "release", one that would have
+    begun on this grasp with its first step.
 
     ## Copies
 
@@ -210,7 +226,8 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
 
     ## Version History
 
-    - v0: first version. Later with `grip`, whose default changes nothing.
+    - v0: first version. Later with `grip` and `unknowns`, whose defaults change nothing, and with `forces` at
+      the end of the observation, which was (107,) before.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012
@@ -231,6 +248,7 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
         ranges: Mapping[str, Any] | SceneRanges | None = None,
         sensors: Mapping[str, Any] | Sensors | None = None,
         grip: str | None = None,
+        unknowns: Unknowns = None,
     ):
         """Raises ValueError (ConfigError) for what is not allowed, ImportError where the physics needs a
         package that is missing."""
@@ -242,8 +260,8 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
         ):
             if value not in allowed:
                 raise ValueError(f"{name} = {value!r}, allowed {', '.join(map(str, allowed))}")
-        settings = read_settings(task, ranges, sensors, grip)
-        self.task_config, self._ranges, self._sensors = settings.task, settings.ranges, settings.sensors
+        self._settings = settings = read_settings(task, ranges, sensors, grip, unknowns)
+        self.task_config = settings.task
         self._scene = read_scene(scene)
         self._grasp = read_grasp(grasp)
         if ranges is not None and self._scene != "random":
@@ -287,15 +305,14 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
         Raises ValueError for others, Diverged where a grasp that was asked for cannot be squeezed.
         """
         super().reset(seed=seed)
-        options = options or {}
-        if unknown := set(options) - {"scene", "grasp", "line_of_sight"}:
-            raise ValueError(f"options: unknown {', '.join(sorted(unknown))}")
-        source = read_scene(options["scene"]) if "scene" in options else self._scene
-        scene = source if isinstance(source, Scene) else sample_scene(self.np_random, self._ranges)
-        if "line_of_sight" in options:
-            scene = Scene.from_data(scene.dump() | {"line_of_sight": options["line_of_sight"]})
-        grasp = read_grasp(options["grasp"]) if "grasp" in options else self._grasp
-        episode = self._begin(scene)
+        asked, settings = read_options(options), self._settings
+        source, grasp, z = asked.scene or self._scene, asked.grasp or self._grasp, asked.unknowns
+        scene = source if isinstance(source, Scene) else sample_scene(self.np_random, settings.ranges)
+        if asked.line_of_sight is not None:
+            scene = Scene.from_data(scene.dump() | {"line_of_sight": asked.line_of_sight})
+        if z is None and settings.unknowns is not None:
+            z = self.np_random.uniform(-1.0, 1.0, len(UNKNOWNS))
+        episode = self._begin(settings.prior(scene), z)
         if grasp != "agent":
             episode.take(grasp if isinstance(grasp, Grasp) else None)
         self._over = False
@@ -303,10 +320,10 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
             self._stage.show(episode)
         return self._observation(), episode.task.info(episode.now, None, Outcome())
 
-    def _begin(self, scene: Scene) -> Episode:
+    def _begin(self, scene: Scene, z: NDArray[np.float64] | None) -> Episode:
         """A new episode, which is over until it can go on."""
-        if self._task is None or self._task.scene != scene:
-            self._task = RetractionTask(scene, self.task_config)
+        if z is not None or self._task is None or self._task.z is not None or self._task.stated != scene:
+            self._task = RetractionTask(scene, self.task_config, z)
         self._over, self._episode = True, Episode(self._task, self._pool)
         return self._episode
 
@@ -360,7 +377,7 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
             asked, here = state.task.model_dump(), self.task_config.model_dump()
             names = ", ".join(name for name in here if asked[name] != here[name])
             raise ValueError(f"the state is of an environment whose task differs in {names}")
-        self._begin(state.episode.scene).set_state(state.episode)
+        self._begin(state.episode.stated, state.episode.z).set_state(state.episode)
         self._over = state.over
         self._np_random, self._np_random_seed = copy.deepcopy(state.random), state.seed
 
@@ -378,4 +395,4 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
         if self.obs == "pixels":
             return self._stage.pixels(self.episode)
         exact = self.episode.task.observation(self.episode.now)
-        return self._sensors.read(exact, self.task_config, self.np_random)
+        return self._settings.sensors.read(exact, self.task_config, self.np_random)

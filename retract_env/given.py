@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Literal
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from retract_env.config import Frozen
 from retract_env.grasp import Grasp
-from retract_env.scene import Scene, load_scene
+from retract_env.scene import UNKNOWNS, Scene, Uncertainty, load_scene
 from retract_env.scene.sampling import SceneRanges
-from retract_env.task import Sensors, TaskConfig, default_scene
+from retract_env.task import Sensors, TaskConfig, actions, default_scene
+
+Array = NDArray[np.float64]
 
 
 class Settings(Frozen):
@@ -18,6 +23,19 @@ class Settings(Frozen):
     task: TaskConfig = TaskConfig()
     ranges: SceneRanges = SceneRanges()
     sensors: Sensors = Sensors()
+    unknowns: Uncertainty | None = None
+    """None: all is as scenes say. What is set here counts instead of what they say of their uncertainty."""
+
+    def prior(self, scene: Scene) -> Scene:
+        """The scene with the uncertainty that counts."""
+        named = None if self.unknowns is None else self.unknowns.model_fields_set
+        if not named:
+            return scene
+        set_here = {name: getattr(self.unknowns, name) for name in named}
+        return scene.model_copy(update={"uncertainty": scene.uncertainty.model_copy(update=set_here)})
+
+
+Unknowns = bool | Mapping[str, Any] | Uncertainty | None
 
 
 def read_settings(
@@ -25,9 +43,12 @@ def read_settings(
     ranges: Mapping[str, Any] | SceneRanges | None,
     sensors: Mapping[str, Any] | Sensors | None,
     grip: str | None,
+    unknowns: Unknowns = None,
 ) -> Settings:
-    """The settings; grip: None is the task's. Raises ConfigError."""
-    given = {"task": task, "ranges": ranges, "sensors": sensors}
+    """The settings; grip: None is the task's; unknowns: True is what scenes say. Raises ConfigError."""
+    if isinstance(unknowns, bool):
+        unknowns = {} if unknowns else None
+    given = {"task": task, "ranges": ranges, "sensors": sensors, "unknowns": unknowns}
     settings = Settings.from_data({name: value for name, value in given.items() if value is not None})
     if grip is None:
         return settings
@@ -54,3 +75,82 @@ def read_grasp(source: str | Mapping[str, float] | Grasp) -> Grasp | str:
     if isinstance(source, Mapping) and set(source) in ({"x", "compression"}, {"x", "force"}):
         return Grasp(**source)
     raise ValueError(f"grasp = {source!r}, allowed 'agent', 'spring', x and compression, or x and force")
+
+
+class Options(NamedTuple):
+    """What is asked of one episode; None where nothing is."""
+
+    scene: Scene | Literal["random"] | None = None
+    grasp: Grasp | str | None = None
+    line_of_sight: Any = None
+    unknowns: Array | None = None
+    """(UNKNOWNS,), or (count, UNKNOWNS) of many environments"""
+
+
+NOTHING = Options()
+
+
+def read_options(options: Mapping[str, Any] | None, count: int | None = None) -> Options:
+    """The options of a reset; count: of how many environments, None: of a single one. Raises ValueError."""
+    options = options or {}
+    if unknown := set(options) - set(Options._fields):
+        raise ValueError(f"options: unknown {', '.join(sorted(unknown))}")
+    line = options.get("line_of_sight")
+    if line is None and "line_of_sight" in options:
+        raise ValueError("line_of_sight = None, allowed a camera and a target")
+    return Options(
+        read_scene(options["scene"]) if "scene" in options else None,
+        read_grasp(options["grasp"]) if "grasp" in options else None,
+        line,
+        _read_draw(options["unknowns"], count) if "unknowns" in options else None,
+    )
+
+
+def _read_draw(source: Any, count: int | None) -> Array:
+    each = (len(UNKNOWNS),)
+    shapes = [each] if count is None else [each, (count, *each)]
+    allowed = f"{' or '.join(map(str, shapes))} numbers in [-1, 1]"
+    try:
+        z = np.array(source, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(f"unknowns = {source!r}, allowed {allowed}".replace("\n", " ")) from None
+    if z.shape not in shapes:
+        raise ValueError(f"unknowns have shape {z.shape}, allowed {allowed}")
+    if not (np.abs(z) <= 1).all():
+        raise ValueError(f"unknowns = {z.tolist()}, allowed {allowed}")
+    return z
+
+
+def read_mask(mask: Any, count: int) -> NDArray[np.bool_]:
+    """Which of so many environments are reset, None: all. Raises ValueError."""
+    if mask is None:
+        return np.ones(count, np.bool_)
+    mask = np.asarray(mask)
+    if mask.shape != (count,) or mask.dtype != np.bool_ or not mask.any():
+        raise ValueError(f"options['reset_mask'] allowed ({count},) bool, at least one of them True")
+    return mask
+
+
+def read_seeds(seed: int | Sequence[int | None] | None, count: int) -> list[int | None]:
+    """A seed, or None, for each of so many environments. Raises ValueError."""
+    if seed is None:
+        return [None] * count
+    each: list[int | None] = []
+    each += [int(seed) + k for k in range(count)] if isinstance(seed, int | np.integer) else seed
+    if len(each) != count:
+        raise ValueError(f"seed has {len(each)} numbers, allowed {count}")
+    return each
+
+
+def read_actions(given: ArrayLike, count: int) -> Array:
+    """Actions (count, 3) with each number clipped to [-1, 1]. Raises ValueError."""
+    try:
+        numbers = np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(f"actions = {given!r}, allowed numbers".replace("\n", " ")) from None
+    if numbers.shape != (count, actions.SIZE):
+        raise ValueError(f"actions have shape {numbers.shape}, allowed ({count}, {actions.SIZE})")
+    if not np.isfinite(numbers).all():
+        k = int(np.flatnonzero(~np.isfinite(numbers).all(axis=1))[0])
+        raise ValueError(f"action of environment {k} = {numbers[k].tolist()}, allowed finite numbers")
+    return np.clip(numbers, -1.0, 1.0)

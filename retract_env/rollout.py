@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from retract_env.grasp import Grasp, JawPath
 from retract_env.scene import Scene
-from retract_env.task import SLICES, TaskConfig, actions
+from retract_env.task import SIZE, SLICES, TaskConfig, actions
 
 Array = NDArray[np.float64]
 Decide = Callable[[NDArray[Any]], NDArray[Any]]
@@ -112,7 +112,7 @@ class PathPolicy:
 
     def __call__(self, observation: NDArray[Any]) -> NDArray[np.float32]:
         """(3,) action. Raises ValueError for an observation that is not the task's state vector."""
-        if observation.shape != (SLICES["exposure"].stop,):
+        if observation.shape != (SIZE,):
             raise ValueError(f"observation has shape {observation.shape}, allowed that of obs='state'")
         if observation[SLICES["time_left"]] == 1:
             self._progress = 1.0

@@ -21,13 +21,24 @@ from numpy.typing import ArrayLike, NDArray
 
 from retract_env.compilation import announce
 from retract_env.errors import Diverged, SceneError
-from retract_env.given import read_grasp, read_scene, read_settings
+from retract_env.given import (
+    NOTHING,
+    Options,
+    Unknowns,
+    read_actions,
+    read_grasp,
+    read_mask,
+    read_options,
+    read_scene,
+    read_seeds,
+    read_settings,
+)
 from retract_env.grasp import Grasp
 from retract_env.mesh.jaws import jaw_range, patch_ends
 from retract_env.physics.registry import physics_kind
 from retract_env.physics.rod import COMPILES
 from retract_env.rod.block import advance_blocks
-from retract_env.scene import Jaws, Scene
+from retract_env.scene import Jaws, Scene, sample_scene
 from retract_env.scene.pcg64 import state_of
 from retract_env.scene.sampling import SceneRanges
 from retract_env.task import Sensors, TaskConfig, actions
@@ -81,8 +92,9 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
     ## Reset
 
     `reset(seed=...)`: an int seeds environment k with seed + k; a list has a seed, or None, for each. Without
-    a seed the generators go on. `options`: `scene`, `grasp` and `line_of_sight` as the single environment has
-    them, for all environments that are reset, and `reset_mask`. `set_scene` puts any scene into any slot, for
+    a seed the generators go on. `options`: `scene`, `grasp`, `line_of_sight` and `unknowns` as the single
+    environment has them, for all environments that are reset (`unknowns` also (num_envs, 11), a draw for
+    each), and `reset_mask`. `set_scene` puts any scene into any slot, for
     good.
 
     ## Look-ahead
@@ -107,6 +119,7 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
         ranges: Mapping[str, Any] | SceneRanges | None = None,
         sensors: Mapping[str, Any] | Sensors | None = None,
         grip: str | None = None,
+        unknowns: Unknowns = None,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         threads: int | None = None,
     ):
@@ -124,8 +137,8 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
             if isinstance(number, bool) or not isinstance(number, int | np.integer) or number < 1:
                 raise ValueError(f"{name} = {number!r}, allowed a whole number from 1 on")
         self.num_envs = int(num_envs)
-        settings = read_settings(task, ranges, sensors, grip)
-        self.task_config, self._ranges, self._sensors = settings.task, settings.ranges, settings.sensors
+        self._settings = settings = read_settings(task, ranges, sensors, grip, unknowns)
+        self.task_config, self._ranges = settings.task, settings.ranges
         source, self._grasp = read_scene(scene), read_grasp(grasp)
         if ranges is not None and source != "random":
             raise ValueError("ranges: allowed with scene = 'random' alone")
@@ -137,7 +150,10 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
         self.single_observation_space = spaces.Box(low, high, dtype=np.float32)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
-        self._flaps = Flaps(self.num_envs, self.task_config, self._ranges, self._sensors)
+        # which also refuses ranges that no scene may have
+        alike = settings.prior(sample_scene(np.random.default_rng(0), settings.ranges))
+        unknown = settings.unknowns is not None
+        self._flaps = Flaps(self.num_envs, settings.task, settings.ranges, settings.sensors, alike, unknown)
         self._sources: list[Scene | str] = [source] * self.num_envs
         self._seeds: list[int | None] = [None] * self.num_envs
         self._special = np.ones(self.num_envs, np.bool_)
@@ -160,22 +176,17 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
         Raises ValueError for other options, Diverged where a grasp that was asked for cannot be squeezed.
         """
         options = dict(options or {})
-        mask = self._mask(options.pop("reset_mask", None))
-        each = self._each_seed(seed)
-        if unknown := set(options) - {"scene", "grasp", "line_of_sight"}:
-            raise ValueError(f"options: unknown {', '.join(sorted(unknown))}")
-        source = read_scene(options["scene"]) if "scene" in options else None
-        grasp = read_grasp(options["grasp"]) if "grasp" in options else None
-        line = options.get("line_of_sight")
-        if line is None and "line_of_sight" in options:
-            raise ValueError("line_of_sight = None, allowed a camera and a target")
+        mask = read_mask(options.pop("reset_mask", None), self.num_envs)
+        each = read_seeds(seed, self.num_envs)
+        asked = read_options(options, self.num_envs)
         self._begun &= ~mask  # should one of them fail
         for k in np.flatnonzero(mask):
             if each[k] is not None or self._seeds[k] is None:
                 generator, self._seeds[k] = seeding.np_random(each[k])
                 self._flaps.lanes.rng[k] = state_of(generator)
             if options or self._special[k]:
-                self._prepare(int(k), source, line, grasp)
+                z = asked.unknowns
+                self._prepare(int(k), asked._replace(unknowns=z[k] if z is not None and z.ndim == 2 else z))
         self._begin(mask)
         self._begun |= mask
         return self._flaps.told.observation.copy(), infos_of(self._flaps.told.info, mask)
@@ -186,7 +197,7 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
         Raises ValueError for what are no actions, ResetNeeded before the first reset, and for environments
         that are over where nothing begins anew by itself.
         """
-        chosen = self._checked(actions)
+        chosen = read_actions(actions, self.num_envs)
         flaps, told, over = self._flaps, self._flaps.told, self._flaps.lanes.over
         if not self._begun.all():
             raise ResetNeeded("reset the environments first")
@@ -239,17 +250,11 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
         self._sources[k] = read_scene(scene)
         self._special[k] = True
 
-    def _prepare(
-        self,
-        k: int,
-        source: Scene | str | None = None,
-        line: Any = None,
-        grasp: Grasp | str | None = None,
-    ) -> None:
-        """Have environment k's next episode begin on what is given, else on what is its own."""
-        scene = source or self._sources[k]
-        grip = grasp or self._grasp
-        special = source is not None or line is not None or grasp is not None
+    def _prepare(self, k: int, asked: Options = NOTHING) -> None:
+        """Have environment k's next episode begin on what is asked for, else on what is its own."""
+        scene, line = asked.scene or self._sources[k], asked.line_of_sight
+        grip = asked.grasp or self._grasp
+        special = any(value is not None for value in asked)
         self._special[k] = True  # should this fail
         if scene == "random" and (line is not None or not self._suits_all(grip)):
             # drawn here, as the single environment draws it
@@ -258,7 +263,7 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
         if line is not None and isinstance(scene, Scene):
             scene = Scene.from_data(scene.dump() | {"line_of_sight": line})
         if isinstance(scene, Scene):
-            self._flaps.put(k, scene)
+            self._flaps.put(k, self._settings.prior(scene))
             if grip == "spring":
                 stable = spring_grasps(scene)
                 if not stable:
@@ -270,6 +275,7 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
         else:
             self._flaps.put_random(k)
         self._flaps.give(k, grip if isinstance(grip, Grasp) else None)
+        self._flaps.ask(k, asked.unknowns)
         self._special[k] = special
 
     def _suits_all(self, grip: Grasp | str) -> bool:
@@ -294,41 +300,6 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
             if told.failed.any():
                 raise Diverged(f"environment {int(told.failed.argmax())}: the grasp could not be squeezed")
         self._workers.run(show_range, flaps, told.renewed, self._plain)
-
-    def _mask(self, mask: Any) -> Flags:
-        if mask is None:
-            return np.ones(self.num_envs, np.bool_)
-        mask = np.asarray(mask)
-        if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
-            raise ValueError(
-                f"options['reset_mask'] allowed ({self.num_envs},) bool, at least one of them True"
-            )
-        return mask
-
-    def _each_seed(self, seed: int | Sequence[int | None] | None) -> NDArray[Any]:
-        if seed is None:
-            each: list[int | None] = [None] * self.num_envs
-        elif isinstance(seed, int | np.integer):
-            each = [int(seed) + k for k in range(self.num_envs)]
-        else:
-            each = list(seed)
-        if len(each) != self.num_envs:
-            raise ValueError(f"seed has {len(each)} numbers, allowed {self.num_envs}")
-        out = np.empty(self.num_envs, dtype=object)
-        out[:] = each
-        return out
-
-    def _checked(self, given: ArrayLike) -> Array:
-        try:
-            numbers = np.asarray(given, dtype=np.float64)
-        except (TypeError, ValueError):
-            raise ValueError(f"actions = {given!r}, allowed numbers".replace("\n", " ")) from None
-        if numbers.shape != (self.num_envs, actions.SIZE):
-            raise ValueError(f"actions have shape {numbers.shape}, allowed ({self.num_envs}, {actions.SIZE})")
-        if not np.isfinite(numbers).all():
-            k = int(np.flatnonzero(~np.isfinite(numbers).all(axis=1))[0])
-            raise ValueError(f"action of environment {k} = {numbers[k].tolist()}, allowed finite numbers")
-        return np.clip(numbers, -1.0, 1.0)
 
     # --- Look-ahead
 

@@ -118,7 +118,7 @@ class Agent:
 
         Raises RecipeError where the recipe's network is another one.
         """
-        layers = self.layers()
+        policy, layers = policy.widened(), self.layers()
         shapes = [tuple(layer.weight.shape) for layer in layers]
         ours = (shapes, self.recipe.network.activation, self.learner.actor.output)
         if (theirs := ([w.shape for w in policy.weights], policy.activation, policy.output)) != ours:

@@ -24,6 +24,7 @@ from retract_env.errors import ConfigError
 from retract_env.physics.registry import PHYSICS
 from retract_env.rollout import PathPolicy, Rollout, rollout
 from retract_env.scene import Scene, sample_scene
+from retract_env.task import SIZE
 
 Floats = NDArray[np.float32]
 
@@ -173,7 +174,7 @@ class Demos:
     """A data set as the learner wants it: n moves of all episodes in a row."""
 
     observations: Floats
-    """(n, 107)"""
+    """(n, SIZE)"""
     actions: Floats
     """(n, 3)"""
     episodes: int
@@ -191,6 +192,9 @@ def load_demos(name: str, most: int | None = None) -> Demos:
         raise DemosError(f"dataset {name}: there is none; `retract demos` makes one") from None
     except (ValueError, OSError, KeyError) as error:
         raise DemosError(f"dataset {name}: {error}") from None
+    if observations.shape[1:] != (SIZE,):
+        width = observations.shape[1]
+        raise DemosError(f"dataset {name}: observations of {width} numbers, today's have {SIZE}")
     return Demos(observations, actions, len(episodes))
 
 

@@ -10,7 +10,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -21,7 +21,7 @@ from pydantic import BeforeValidator, Field
 from baselines.jobs.files import write_json, written_whole
 from retract_env.config import Frozen, Listed, Name, Range, brief, refusal, whole
 from retract_env.errors import ConfigError
-from retract_env.task import SIZE, actions
+from retract_env.task import SIZE, SIZES, actions
 
 Floats = NDArray[np.float32]
 
@@ -119,7 +119,11 @@ class _About(_Part):
 
 @dataclass(frozen=True, eq=False)
 class Policy:
-    """A multilayer perceptron from the state observation to an action; plays in `rollout`."""
+    """A multilayer perceptron from the state observation to an action; plays in `rollout`.
+
+    One that was trained when observations had fewer numbers reads the first ones of today's: parts are only
+    ever added at the end.
+    """
 
     name: str
     """The method's: policies that differ by their seed alone share it."""
@@ -128,9 +132,9 @@ class Policy:
     biases: tuple[Floats, ...]
     """(out,)"""
     mean: Floats
-    """(107,) of the observations"""
+    """(n,) of the observations, n of `SIZES`"""
     deviation: Floats
-    """(107,) likewise, positive"""
+    """(n,) likewise, positive"""
     clip: float
     """normalised observations are clipped to this"""
     activation: Literal["tanh", "relu"]
@@ -150,9 +154,10 @@ class Policy:
         ends = [self.mean.shape[0], *(b.shape[0] for b in self.biases)]
         if sizes != [(ends[k + 1], ends[k]) for k in range(len(sizes))] or not sizes:
             raise PolicyError(f"policy: layers of shapes {sizes} do not follow each other")
-        if ends[0] != SIZE or ends[-1] != actions.SIZE:
+        if ends[0] not in SIZES or ends[-1] != actions.SIZE:
+            known = " or ".join(map(str, SIZES))
             raise PolicyError(
-                f"policy: from {ends[0]} to {ends[-1]} numbers, allowed {SIZE} to {actions.SIZE}"
+                f"policy: from {ends[0]} to {ends[-1]} numbers, allowed {known} to {actions.SIZE}"
             )
         if not all(np.isfinite(t).all() for t in self.tensors().values()) or not (self.deviation > 0).all():
             raise PolicyError("policy: weights, or the deviations of its observations, are no numbers")
@@ -161,12 +166,23 @@ class Policy:
         """(3,) action in [-1, 1]. Raises ValueError for what is not the task's state vector."""
         if observation.shape != (SIZE,):
             raise ValueError(f"observation has shape {observation.shape}, allowed that of obs='state'")
-        x = np.clip((observation - self.mean) / self.deviation, -self.clip, self.clip)
+        seen = observation[: len(self.mean)]
+        x = np.clip((seen - self.mean) / self.deviation, -self.clip, self.clip)
         for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
             x = weight @ x + bias
             x = np.tanh(x) if self.activation == "tanh" else np.maximum(x, 0)
         x = self.weights[-1] @ x + self.biases[-1]
         return (np.tanh(x) if self.output == "tanh" else np.clip(x, -1, 1)).astype(np.float32)
+
+    def widened(self) -> Policy:
+        """The same policy on all of today's numbers, of which it does not heed those that it did not know."""
+        more = SIZE - len(self.mean)
+        return replace(
+            self,
+            weights=(np.pad(self.weights[0], ((0, 0), (0, more))), *self.weights[1:]),
+            mean=np.pad(self.mean, (0, more)),
+            deviation=np.pad(self.deviation, (0, more), constant_values=1.0),
+        )
 
     def tensors(self) -> dict[str, Floats]:
         """All numbers by name, as they are kept."""

@@ -12,7 +12,18 @@ from pydantic import BeforeValidator, Field, SerializeAsAny, model_validator
 
 from baselines.learning.algorithms import ALGORITHMS, Learner
 from baselines.learning.fields import Count, Part, RecipeError
-from retract_env.config import Listed, Name, Range, brief, config_file, one_of, read_yaml, refusal, whole
+from retract_env.config import (
+    Flag,
+    Listed,
+    Name,
+    Range,
+    brief,
+    config_file,
+    one_of,
+    read_yaml,
+    refusal,
+    whole,
+)
 from retract_env.errors import ConfigError
 from retract_env.physics.registry import PHYSICS
 
@@ -65,12 +76,13 @@ class EnvSettings(Part):
     task: Annotated[dict[str, Any], _read_by("TaskConfig")] = Field(default_factory=dict)
     """what differs from the task's defaults"""
     sensors: Annotated[dict[str, Any], _read_by("Sensors")] = Field(default_factory=dict)
+    unknowns: Flag = False
 
     @property
     def arguments(self) -> dict[str, Any]:
         """Keyword arguments of the environment, without those that are empty."""
         given = self.model_dump(mode="json", exclude={"physics"})
-        optional = {"grip", "task", "sensors"}
+        optional = {"grip", "task", "sensors", "unknowns"}
         return {name: value for name, value in given.items() if value or name not in optional}
 
     @model_validator(mode="after")

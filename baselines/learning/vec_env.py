@@ -53,7 +53,7 @@ class BatchVecEnv(VecEnv):
         self._start = time.time()
 
     def reset(self) -> NDArray[np.float32]:
-        """Observations (n, 107); seeds and options are those of `seed` and `set_options`, once."""
+        """Observations (n, SIZE); seeds and options are those of `seed` and `set_options`, once."""
         each: dict[str, NDArray[np.bool_]] = {}
         for k, options in enumerate(self._options):
             each.setdefault(repr(options), np.zeros(self.num_envs, np.bool_))[k] = True
@@ -74,7 +74,7 @@ class BatchVecEnv(VecEnv):
         self._actions = actions
 
     def step_wait(self) -> VecEnvStepReturn:
-        """Observations (n, 107), rewards (n,), dones (n,), and n infos, see the class."""
+        """Observations (n, SIZE), rewards (n,), dones (n,), and n infos, see the class."""
         observations, rewards, terminated, truncated, infos = self.envs.step(self._actions)
         self._returns += rewards
         self._lengths += 1

@@ -51,10 +51,25 @@ def section_of(
     return points, strain, jaws, reactions, spot
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def reactions_on(block, lane, jaws, out):
+    """Forces of the tissue on the lower and on the upper jaw of a lane, whose jaws are (4,) m, into out
+    (2, 2) N."""
+    flap, felt = block.flap[lane], block.measured[lane]
+    ax, ay = jaws[2] - jaws[0], jaws[3] - jaws[1]
+    long = math.sqrt(ax * ax + ay * ay)
+    ax, ay = ax / long, ay / long
+    unit = flap[MODULUS] * flap[HEIGHT] * flap[DEPTH]
+    for jaw in range(2):
+        press = unit * (felt[NORMAL_1] if jaw == 0 else -felt[NORMAL_2])
+        drag = unit * (felt[DRAG_1] if jaw == 0 else felt[DRAG_2])
+        out[jaw, 0] = -(press * ax + drag * ay)
+        out[jaw, 1] = -(press * ay - drag * ax)
+
+
 @njit(cache=True, error_model="numpy")
 def _fill(block, lane, columns, jaw_x, points, strain, jaws, reactions, spot):
-    flap, out = block.flap[lane], block.measured[lane]
-    height = flap[HEIGHT]
+    height = block.flap[lane, HEIGHT]
     for column in range(COLUMNS):
         at = 4 * column * LANES + lane
         for k in range(2):
@@ -62,15 +77,7 @@ def _fill(block, lane, columns, jaw_x, points, strain, jaws, reactions, spot):
             points[ROWS * column, k], points[ROWS * column + 2, k] = low, high
             points[ROWS * column + 1, k] = (low + high) / 2
     jaws_in(block, lane, jaws)
-    ax, ay = jaws[2] - jaws[0], jaws[3] - jaws[1]
-    long = math.sqrt(ax * ax + ay * ay)
-    ax, ay = ax / long, ay / long
-    unit = flap[MODULUS] * height * flap[DEPTH]
-    for jaw in range(2):
-        press = unit * (out[NORMAL_1] if jaw == 0 else -out[NORMAL_2])
-        drag = unit * (out[DRAG_1] if jaw == 0 else out[DRAG_2])
-        reactions[jaw, 0] = -(press * ax + drag * ay)
-        reactions[jaw, 1] = -(press * ay - drag * ax)
+    reactions_on(block, lane, jaws, reactions)
     compression = block.grip[lane, COMPRESSION]
     worst = squeeze(block.grip[lane], compression)[1]
     spot[0], spot[1] = jaw_x, 0.0

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from retract_env.scene import UNKNOWNS
 from retract_env.task.rules import TERMS
 
 Array = NDArray[np.float64]
@@ -48,6 +49,8 @@ class Rules(NamedTuple):
     laws: Array
     held: Array
     """of the rod's grip"""
+    unknown: bool
+    """whether each episode is a draw of what is not known"""
 
 
 class Lanes(NamedTuple):
@@ -62,11 +65,21 @@ class Lanes(NamedTuple):
     offsets: NDArray[np.int64]
     moduli: Array
     """of the flaps, as `retract_env.scene.flaps` has them"""
+    stated: Array
+    numbers: Array
+    """(n, NUMBERS) of `retract_env.scenarios`: of the scene as it is stated, and as it turns out"""
+    prior: Array
+    """(n, PRIOR) of `retract_env.scenarios`"""
+    asked: Array
+    """(n, UNKNOWNS) the draw of the next episode; nan where none is asked for"""
+    drawn: NDArray[np.bool_]
+    z: Array
+    """(n,) whether the episode is a draw, and (n, UNKNOWNS) which one"""
     given: Array
     """(n, 3) m, m, N: x, and compression or force, of the grasp that an episode begins on; the other is nan,
     and all are where the first action chooses it"""
     limits: Array
-    """(n, 3)"""
+    """(n, 3) as they turn out"""
     k_eq: Array
     """(n, STIFFNESS_SAMPLES) modulus / height"""
     sight: Array
@@ -74,11 +87,15 @@ class Lanes(NamedTuple):
     outset: Array
     """(n,) m, clearance at rest"""
     holding: NDArray[np.bool_]
+    missed: NDArray[np.bool_]
+    """(n,) whether the jaws have closed, and whether they were closed without closing on the flap"""
+    off: Array
+    """(n, 3) m, as `Situation` has it"""
     steps: NDArray[np.int64]
     pose: Array
     """(n, 4) that the jaws were sent to: x, y, theta, separation"""
     jaws: Array
-    """(n, 4) m"""
+    """(n, 4) m, where they are"""
     grasp: Array
     """(n, 2) m, where they grasp, and m or N, by how much they close or how hard they press"""
     section: NDArray[np.int64]
@@ -121,4 +138,6 @@ class Told(NamedTuple):
 # What is told besides, as a row of numbers
 SUCCESS, FAILURE, COST, COST_STRAIN, COST_FRICTION, MOST_STRAIN, MOST_FRICTION, TO_LINE, EXPOSURE = range(9)
 REWARD_TERMS = 9
-INFO = REWARD_TERMS + len(TERMS)
+IS_DRAWN = REWARD_TERMS + len(TERMS)
+DRAW = IS_DRAWN + 1
+INFO = DRAW + len(UNKNOWNS)

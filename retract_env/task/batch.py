@@ -12,7 +12,7 @@ from numba import njit
 
 from retract_env.rod.block import advance_blocks, borrowed
 from retract_env.rod.chain import LANES
-from retract_env.task.lanes import act, begin, hold_on, settle, take
+from retract_env.task.lanes import act, begin, hold_on, let_go, settle, take
 from retract_env.task.shown import observe_now, tell
 
 NEXT_STEP, SAME_STEP, DISABLED = range(3)
@@ -50,6 +50,9 @@ def settle_range(blocks, lanes, rules, told, first, last, fresh):
             if not fresh and not told.renewed[i]:
                 settle(lanes, rules, block, i, told)
             elif fresh and told.renewed[i] and not math.isnan(lanes.given[i, 0]) and not told.failed[i]:
+                if lanes.missed[i]:
+                    let_go(lanes, i)
+                    continue
                 told.failed[i] = not block.done[i % LANES]
                 if block.done[i % LANES]:
                     hold_on(lanes, block, i)

@@ -26,7 +26,9 @@ MOST_GRASPS = 5
 class EpisodeState:
     """Where an episode stood, for `Episode.set_state`. It can be pickled; not to be changed."""
 
-    scene: Scene
+    stated: Scene
+    z: Array | None
+    """(UNKNOWNS,) the draw that made of it what there is; None: it is as stated"""
     now: Situation
     history: tuple[TissueState, ...]
     grasp: Grasp | None
@@ -50,7 +52,7 @@ class Episode:
         self.history: list[TissueState] = [self.now.state]
         """states so far; progress counts the closing of the jaws as 1 and each move as 1 more"""
         self.grasp: Grasp | None = None
-        """what the jaws hold, None before they closed"""
+        """what the jaws hold, None before they closed; as it turned out, as all poses here"""
         self.diverged = False
         self._physics: Physics | None = None
         self._moves: list[tuple[Array, float | None]] = []
@@ -83,10 +85,10 @@ class Episode:
 
     def get_state(self) -> EpisodeState:
         """Where the episode stands; it does not change when the episode goes on."""
+        task, history, moves = self.task, tuple(self.history), tuple(self._moves)
         return EpisodeState(
-            self.task.scene, self.now, tuple(self.history), self.grasp, self.diverged, tuple(self._moves),
-            self._physics_state(),
-        )  # fmt: skip
+            task.stated, task.z, self.now, history, self.grasp, self.diverged, moves, self._physics_state()
+        )
 
     def set_state(self, state: EpisodeState) -> None:
         """Stand where an episode of the same task stood, on a pool of the same kind, be it in another
@@ -97,8 +99,10 @@ class Episode:
 
     def act(self, action: ArrayLike) -> None:
         """One step of the task: the grasp, then moves. Raises ValueError for what is no action."""
-        if self.grasp is None:
-            self._close(actions.to_grasp(action, self.task.scene, self.task.config))
+        if self.now.missed:
+            actions.checked(action)  # nothing is left to do
+        elif self.grasp is None:
+            self._close(actions.to_grasp(action, self.task.stated, self.task.config))
         else:
             self._move(actions.moved(action, self._moves[-1][0], self.task.config))
         self.now = replace(self.now, steps=self.now.steps + 1)
@@ -109,14 +113,15 @@ class Episode:
         Raises Diverged where the tissue cannot be squeezed there, nor at the next `MOST_GRASPS` less one,
         ValueError for a grasp off the flap.
         """
-        candidates = spring_grasps(self.task.scene)[:MOST_GRASPS] if grasp is None else [grasp]
+        stated = self.task.stated
+        candidates = spring_grasps(stated)[:MOST_GRASPS] if grasp is None else [grasp]
         for candidate in candidates:
             self.diverged = False
-            self._close(candidate if grasp else held(self.task.scene, candidate, self.task.config))
+            self._close(candidate if grasp else held(stated, candidate, self.task.config))
             if not self.diverged:
                 return
         tried = f"{len(candidates)} grasps" if len(candidates) > 1 else "the grasp"
-        raise Diverged(f"scene {self.task.scene.name!r}: {tried} could not be squeezed")
+        raise Diverged(f"scene {stated.name!r}: {tried} could not be squeezed")
 
     @property
     def path(self) -> JawPath | None:
@@ -127,10 +132,20 @@ class Episode:
         return JawPath(np.array([rest, *(s.jaws for s in self.history if s.progress >= 1)]), "env")
 
     def _close(self, grasp: Grasp) -> None:
-        tissue = self.task.scene.tissue
-        grasp.check_inside(tissue.length, tissue.height)
-        closed = expected_compression(self.task.scene, grasp)
-        squeezed = np.array([grasp.x, tissue.height / 2, 0.0, tissue.height - closed])
+        stated, scene = self.task.stated.tissue, self.task.scene
+        grasp.check_inside(stated.length, stated.height)
+        off = np.zeros(3)
+        if self.task.drawn is None:
+            separation = scene.tissue.height - expected_compression(scene, grasp)
+        else:
+            found = self.task.drawn.close(grasp, stated.height - grasp.compression)
+            if found is None:
+                self.now = self.task.miss(self.now)
+                return
+            grasp, separation, off = found
+            if grasp.force is not None:  # only where the search for it begins
+                separation = scene.tissue.height - expected_compression(scene, grasp)
+        squeezed = np.array([grasp.x, scene.tissue.height / 2, 0.0, separation])
         try:
             physics = self.pool.take(self.task.scene, grasp.x, self.task.stop_when, grasp.force)
             physics.reset()
@@ -138,6 +153,7 @@ class Episode:
         except (Diverged, MeshError):
             self.diverged = True
             return
+        self.now = replace(self.now, off=off)
         self.grasp, self._physics, self._moves = grasp, physics, [(squeezed, 1.0)]
         self._accept(physics, state)
 

@@ -11,11 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from retract_env import scenarios
 from retract_env.grasp import Grasp
 from retract_env.physics.rod import flap_numbers, laws, sight_numbers
 from retract_env.rod.block import STATE, new_blocks
 from retract_env.rod.chain import LANES
-from retract_env.scene import Scene, sample_scene
+from retract_env.scenarios import prior_numbers, stated_numbers
+from retract_env.scene import UNKNOWNS, Scene, sample_scene
 from retract_env.scene import flaps as drawn
 from retract_env.scene.pcg64 import WORDS, give_back, state_of
 from retract_env.scene.sampling import POISSON, SceneRanges
@@ -32,7 +34,18 @@ Flags = NDArray[np.bool_]
 class Flaps:
     """The arrays of n flaps and their episodes, and what goes into them."""
 
-    def __init__(self, n: int, task: TaskConfig, ranges: SceneRanges, sensors: Sensors):
+    def __init__(
+        self,
+        n: int,
+        task: TaskConfig,
+        ranges: SceneRanges,
+        sensors: Sensors,
+        alike: Scene,
+        unknown: bool,
+    ):
+        """alike: a scene that has what all random flaps have alike; unknown: whether each episode is a draw
+        of what is not known."""
+        self._alike = alike
         blocks = -(-n // LANES)
         self.blocks = new_blocks(blocks)
         weights = task.weights.model_dump()
@@ -56,6 +69,7 @@ class Flaps:
             drawn.table(ranges),
             POISSON,
             *laws(),
+            unknown,
         )
         _, vertices, offsets, moduli = drawn.room(max(ranges.veins[1], 1))
 
@@ -72,12 +86,20 @@ class Flaps:
             vertices=rows(*vertices.shape),
             offsets=np.zeros((n, len(offsets)), np.int64),
             moduli=rows(len(moduli)),
+            stated=rows(scenarios.NUMBERS),
+            numbers=rows(scenarios.NUMBERS),
+            prior=rows(scenarios.PRIOR),
+            asked=np.full((n, len(UNKNOWNS)), np.nan),
+            drawn=flags(),
+            z=rows(len(UNKNOWNS)),
             given=np.full((n, 3), np.nan),
             limits=rows(3),
             k_eq=rows(STIFFNESS_SAMPLES),
             sight=rows(3),
             outset=rows(),
             holding=flags(),
+            missed=flags(),
+            off=rows(3),
             steps=np.zeros(n, np.int64),
             pose=rows(4),
             jaws=rows(4),
@@ -108,8 +130,6 @@ class Flaps:
             flags(),
             flags(),
         )
-        # what all random flaps have alike; sampling one also refuses ranges that no scene may have
-        self._alike = sample_scene(np.random.default_rng(0), ranges)
 
     def put(self, k: int, scene: Scene) -> None:
         """Give environment k this scene."""
@@ -128,6 +148,10 @@ class Flaps:
         if grasp is not None:
             row = grasp.x, grasp.compression, np.nan if grasp.force is None else grasp.force
         self.lanes.given[k] = row
+
+    def ask(self, k: int, z: Array | None) -> None:
+        """Have environment k's next episode be this draw (UNKNOWNS,); None: whatever the settings say."""
+        self.lanes.asked[k] = np.nan if z is None else z
 
     def put_random(self, k: int) -> None:
         """Have environment k draw a flap when its next episode begins."""
@@ -148,6 +172,7 @@ class Flaps:
             flap_numbers(scene),
             sight_numbers(scene),
         )
+        self.lanes.stated[k], self.lanes.prior[k] = stated_numbers(scene), prior_numbers(scene)
         limits = scene.limits
         self.lanes.limits[k] = limits.strain, limits.friction, limits.clearance
 

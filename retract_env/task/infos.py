@@ -12,8 +12,10 @@ from retract_env.task.arrays import (
     COST,
     COST_FRICTION,
     COST_STRAIN,
+    DRAW,
     EXPOSURE,
     FAILURE,
+    IS_DRAWN,
     MOST_FRICTION,
     MOST_STRAIN,
     REWARD_TERMS,
@@ -51,7 +53,10 @@ def infos_of(rows: Array, mask: Flags) -> dict[str, Any]:
         "exposure": told(rows[:, EXPOSURE]),
         "reward_terms": _masked(terms, mask),
     }
-    return _masked(plain, mask)
+    infos, drawn = _masked(plain, mask), mask & (rows[:, IS_DRAWN] > 0)
+    if drawn.any():
+        infos["unknowns"], infos["_unknowns"] = np.where(drawn[:, None], rows[:, DRAW:], 0.0), drawn
+    return infos
 
 
 def _masked(values: Mapping[str, Any], mask: Flags) -> dict[str, Any]:

@@ -11,6 +11,7 @@ import math
 import numpy as np
 from numba import njit
 
+from retract_env import scenarios
 from retract_env.mesh.jaws import SLIVER
 from retract_env.rod.block import aim, hold, hold_by_force, jaws_in
 from retract_env.rod.chain import LANES
@@ -21,6 +22,7 @@ from retract_env.rod.flap import (
     LENGTH_M,
     MODULUS,
     POISSON,
+    SPECIFIC_WEIGHT,
 )
 from retract_env.rod.measures import (
     CAMERA_X,
@@ -37,6 +39,7 @@ from retract_env.rod.measures import (
 )
 from retract_env.scene import flaps
 from retract_env.scene.flaps import draw_flap
+from retract_env.scene.pcg64 import uniform
 from retract_env.spring.columns import columns
 from retract_env.task.arrays import INSIDE
 from retract_env.task.rules import (
@@ -45,12 +48,13 @@ from retract_env.task.rules import (
     FRICTION_LIMIT,
     GOES_ON,
     OK,
+    RELEASE,
     STIFFNESS_SAMPLES,
     STRAIN_LIMIT,
     TERMS,
     exposed_above,
-    grip_range,
     exposed_beside,
+    grip_range,
     rest_clearance,
     verdict,
     way,
@@ -62,26 +66,48 @@ from retract_env.task.shown import find_keypoints, lying, surfaces_of
 def new_flap(lanes, rules, block, i):
     """Give environment i a random flap; False where its veins have no room."""
     lane = i % LANES
-    scalars, flap, sight = lanes.scalars[i], block.flap[lane], block.sight[lane]
+    scalars, flap, stated = lanes.scalars[i], block.flap[lane], lanes.stated[i]
     wanted, placed = draw_flap(
         lanes.rng[i], rules.ranges, scalars, lanes.vertices[i], lanes.offsets[i], lanes.moduli[i]
     )
-    flap[LENGTH_M], flap[HEIGHT], flap[DEPTH] = (
-        scalars[flaps.LENGTH],
-        scalars[flaps.HEIGHT],
-        scalars[flaps.DEPTH],
-    )
-    flap[MODULUS], flap[POISSON] = scalars[flaps.MODULUS], rules.poisson
-    sight[CAMERA_X], sight[CAMERA_Y] = scalars[flaps.CAMERA_X], scalars[flaps.CAMERA_Y]
-    sight[TARGET_X] = scalars[flaps.TARGET_X]
+    flap[LENGTH_M] = stated[scenarios.LENGTH] = scalars[flaps.LENGTH]
+    flap[DEPTH], block.sight[lane, CAMERA_Y] = scalars[flaps.DEPTH], scalars[flaps.CAMERA_Y]
+    stated[scenarios.HEIGHT], stated[scenarios.MODULUS] = scalars[flaps.HEIGHT], scalars[flaps.MODULUS]
+    stated[scenarios.CAMERA_X], stated[scenarios.TARGET_X] = scalars[flaps.CAMERA_X], scalars[flaps.TARGET_X]
     return wanted == placed
 
 
 @njit(**INSIDE)
+def turn_out(lanes, rules, block, i):
+    """Have environment i's flap be what it turns out to be in this episode."""
+    lane = i % LANES
+    numbers, z, asked = lanes.numbers[i], lanes.z[i], lanes.asked[i]
+    wanted = not math.isnan(asked[0])
+    lanes.drawn[i] = wanted or rules.unknown
+    if lanes.drawn[i]:
+        for k in range(len(z)):
+            z[k] = asked[k] if wanted else uniform(lanes.rng[i], -1.0, 1.0)
+        scenarios.turn_out(lanes.stated[i], lanes.prior[i], z, numbers)
+    else:
+        numbers[:] = lanes.stated[i]
+    flap, sight = block.flap[lane], block.sight[lane]
+    flap[HEIGHT], flap[MODULUS] = numbers[scenarios.HEIGHT], numbers[scenarios.MODULUS]
+    flap[POISSON], flap[JAW_WIDTH] = numbers[scenarios.POISSON], numbers[scenarios.JAW_WIDTH]
+    flap[SPECIFIC_WEIGHT] = numbers[scenarios.DENSITY] * numbers[scenarios.GRAVITY]
+    sight[CAMERA_X], sight[TARGET_X] = numbers[scenarios.CAMERA_X], numbers[scenarios.TARGET_X]
+    lanes.limits[i, FRICTION_LIMIT] = numbers[scenarios.FRICTION]
+
+
+@njit(**INSIDE)
 def look(lanes, block, i):
-    """What does not change while environment i has this flap and line of sight."""
-    flap, sight = block.flap[i % LANES], block.sight[i % LANES]
-    length, height, modulus = flap[LENGTH_M], flap[HEIGHT], flap[MODULUS]
+    """What does not change in an episode of environment i: what is known of its flap and line of sight, and
+    the clearance at rest."""
+    flap, sight, stated = block.flap[i % LANES], block.sight[i % LANES], lanes.stated[i]
+    length, height, modulus = (
+        stated[scenarios.LENGTH],
+        stated[scenarios.HEIGHT],
+        stated[scenarios.MODULUS],
+    )
     at = np.empty(STIFFNESS_SAMPLES)
     for k in range(STIFFNESS_SAMPLES):
         at[k] = -length * (1 - (k + 0.5) / STIFFNESS_SAMPLES)
@@ -89,11 +115,12 @@ def look(lanes, block, i):
     columns(length, height, modulus, lanes.vertices[i], lanes.offsets[i], lanes.moduli[i], at, k_eq)
     for k in range(STIFFNESS_SAMPLES):
         k_eq[k] = k_eq[k] * height / modulus
-    dx, dy = sight[CAMERA_X] - sight[TARGET_X], sight[CAMERA_Y]
-    lanes.sight[i, 0] = sight[TARGET_X] / length
-    lanes.sight[i, 1] = math.atan2(dy, sight[TARGET_X] - sight[CAMERA_X])
+    camera_x, target_x = stated[scenarios.CAMERA_X], stated[scenarios.TARGET_X]
+    dx, dy = camera_x - target_x, sight[CAMERA_Y]
+    lanes.sight[i, 0] = target_x / length
+    lanes.sight[i, 1] = math.atan2(dy, target_x - camera_x)
     lanes.sight[i, 2] = length / math.hypot(dx, dy)
-    lanes.outset[i] = rest_clearance(length, height, sight[CAMERA_X], sight[CAMERA_Y], sight[TARGET_X])
+    lanes.outset[i] = rest_clearance(length, flap[HEIGHT], sight[CAMERA_X], sight[CAMERA_Y], sight[TARGET_X])
 
 
 @njit(**INSIDE)
@@ -101,12 +128,15 @@ def begin(lanes, rules, block, i):
     """Environment i at the outset of an episode; False where there is no room for a random flap's veins."""
     if lanes.random[i] and not new_flap(lanes, rules, block, i):
         return False
+    turn_out(lanes, rules, block, i)
     look(lanes, block, i)
-    flap, sight = block.flap[i % LANES], block.sight[i % LANES]
-    length, height, width = flap[LENGTH_M], flap[HEIGHT], flap[JAW_WIDTH]
-    lanes.holding[i], lanes.steps[i], lanes.over[i] = False, 0, False
-    lanes.jaws[i, 0] = lanes.jaws[i, 2] = -length - width
-    lanes.jaws[i, 1], lanes.jaws[i, 3] = 0.0, height
+    flap, sight, stated = block.flap[i % LANES], block.sight[i % LANES], lanes.stated[i]
+    length, height = flap[LENGTH_M], flap[HEIGHT]
+    lanes.holding[i], lanes.missed[i], lanes.steps[i], lanes.over[i] = False, False, 0, False
+    lanes.jaws[i, 0] = lanes.jaws[i, 2] = -length - stated[scenarios.JAW_WIDTH]
+    lanes.jaws[i, 1], lanes.jaws[i, 3] = 0.0, stated[scenarios.HEIGHT]
+    for k in range(3):
+        lanes.off[i, k] = 0.0
     lanes.strain[i] = lanes.most_strain[i] = lanes.most_friction[i] = 0.0
     lanes.friction[i, 0] = lanes.friction[i, 1] = 0.0
     lanes.overlapped[i], lanes.broken[i], lanes.in_view[i] = False, GOES_ON, False
@@ -124,16 +154,22 @@ def begin(lanes, rules, block, i):
 def act(lanes, rules, block, i, action):
     """Have environment i's jaws close or move as an action (3,) in [-1, 1] says, at the next `advance`."""
     lane = i % LANES
+    if lanes.missed[i]:
+        return  # nothing is left to do
     if lanes.holding[i]:
         pose = lanes.pose[i]
         for k in range(3):
             pose[k] += action[k] * rules.move[k]
         aim(block, lane, pose[0], pose[1], pose[2])
         return
-    flap = block.flap[lane]
-    length, height, width = flap[LENGTH_M], flap[HEIGHT], flap[JAW_WIDTH]
+    stated = lanes.stated[i]
+    length, height, width = (
+        stated[scenarios.LENGTH],
+        stated[scenarios.HEIGHT],
+        stated[scenarios.JAW_WIDTH],
+    )
     near, far = -length, -(0.5 + SLIVER) * width * (1 + 1e-6)
-    unit = flap[MODULUS] * width * flap[DEPTH] if rules.by_force else height
+    unit = stated[scenarios.MODULUS] * width * block.flap[lane, DEPTH] if rules.by_force else height
     light, firm = rules.firmness[0], rules.firmness[1]
     lightest, most = grip_range(light, firm, length, height)
     along, strength = (action[0] + 1) / 2, (action[1] + 1) / 2
@@ -145,19 +181,31 @@ def act(lanes, rules, block, i, action):
 @njit(**INSIDE)
 def take(lanes, rules, block, i, x, compression, force):
     """Have environment i's jaws close at x by a compression, m, or until they press with a force, N, once its
-    block advances; the other is nan."""
-    lane = i % LANES
-    height, pose = block.flap[lane, HEIGHT], lanes.pose[i]
-    veins = lanes.vertices[i], lanes.offsets[i], lanes.moduli[i]
+    block advances; the other is nan. As it turns out, they may close elsewhere, otherwise, or on nothing."""
+    lane, pose = i % LANES, lanes.pose[i]
+    height, separation = block.flap[lane, HEIGHT], lanes.stated[i, scenarios.HEIGHT] - compression
+    vertices, offsets, moduli = lanes.vertices[i], lanes.offsets[i], lanes.moduli[i]
+    if lanes.drawn[i]:
+        numbers, found = lanes.numbers[i], np.empty(scenarios.CLOSED)
+        stated, prior, z = lanes.stated[i, scenarios.HEIGHT], lanes.prior[i], lanes.z[i]
+        if not scenarios.close_on(stated, numbers, prior, z, x, separation, force, found):
+            lanes.missed[i] = True
+            return
+        x, separation, force = found[scenarios.X], found[scenarios.SEPARATION], found[scenarios.HOLDS_BY]
+        lanes.off[i] = found[scenarios.OFF_X :]
+        vertices, moduli = vertices.copy(), moduli * numbers[scenarios.STIFFER]
+        for k in range(len(vertices)):
+            vertices[k, 1] *= numbers[scenarios.THICKER]
     pose[0], pose[1], pose[2], pose[3] = x, height / 2, 0.0, height
+    lanes.grasp[i, 0] = x
     if math.isnan(force):
-        lanes.grasp[i, 0], lanes.grasp[i, 1] = x, compression
-        pose[3] = height - compression
-        closed = (height - pose[3]) / height
-        hold(block, lane, x, closed, veins[0], veins[1], veins[2], rules.laws, rules.held)
+        lanes.grasp[i, 1] = height - separation
+        pose[3] = separation
+        closed = (height - separation) / height
+        hold(block, lane, x, closed, vertices, offsets, moduli, rules.laws, rules.held)
     else:
-        lanes.grasp[i, 0], lanes.grasp[i, 1] = x, force
-        hold_by_force(block, lane, x, force, veins[0], veins[1], veins[2], rules.laws, rules.held)
+        lanes.grasp[i, 1] = force
+        hold_by_force(block, lane, x, force, vertices, offsets, moduli, rules.laws, rules.held)
     aim(block, lane, x, height / 2, 0.0)
     find_keypoints(lanes, i, block.flap[lane, LENGTH_M], height)
 
@@ -169,14 +217,18 @@ def settle(lanes, rules, block, i, told):
     lanes.steps[i] += 1
     exposure, clearance = lanes.exposure[i], lanes.clearance[i]
     most_strain, most_friction = lanes.most_strain[i], lanes.most_friction[i]
-    diverged = not block.done[lane]
+    missed = lanes.missed[i]
+    diverged = not missed and not block.done[lane]
     code, in_view, broke = DIVERGED, False, False
-    if not diverged:
+    if missed:
+        let_go(lanes, i)
+        code, broke = RELEASE, True
+    elif not diverged:
         before = _broken_so_far(lanes, i)
         hold_on(lanes, block, i)
         code, in_view, broke = _judge(lanes, rules, i, before)
     lanes.broken[i], lanes.in_view[i] = code, in_view
-    over = (code != GOES_ON) if rules.limits_end else in_view
+    over = (code != GOES_ON) if rules.limits_end or missed else in_view
     told.terminated[i] = over and not diverged
     told.truncated[i] = not told.terminated[i] and (diverged or lanes.steps[i] >= rules.steps)
     lanes.over[i] = told.terminated[i] or told.truncated[i]
@@ -185,6 +237,12 @@ def settle(lanes, rules, block, i, told):
     for k in range(len(TERMS)):
         reward += lanes.terms[i, k]
     told.reward[i] = reward
+
+
+@njit(**INSIDE)
+def let_go(lanes, i):
+    """What it comes to that environment i's jaws have not closed on the flap: they would have to pull."""
+    lanes.friction[i, 0] = lanes.friction[i, 1] = lanes.most_friction[i] = np.inf
 
 
 @njit(**INSIDE)

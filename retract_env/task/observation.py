@@ -22,7 +22,7 @@ from retract_env.scene import Scene
 from retract_env.spring import columns
 from retract_env.task import rules
 from retract_env.task.config import TaskConfig
-from retract_env.task.rules import KEYPOINTS, STIFFNESS_SAMPLES
+from retract_env.task.rules import FORCES, KEYPOINTS, STIFFNESS_SAMPLES
 from retract_env.task.situation import Situation
 
 Array = NDArray[np.float64]
@@ -76,14 +76,25 @@ def layout(cap: float) -> tuple[Part, ...]:
         Part("max_friction", 1, 0, cap, "limit", "greatest friction needed so far"),
         Part("clearance", 1, -3, 3, "length", "signed distance of the lowest tissue to the line of sight"),
         Part("exposure", 1, 0, 1, "", "fraction of the area of interest that the camera sees"),
+        Part(
+            "forces",
+            FORCES,
+            -10,
+            10,
+            "E w d",
+            "what the lower jaw presses and drags with, then the upper one",
+        ),
     )
 
 
 LAYOUT = layout(TaskConfig().cap)
-"""Name, size, bounds, unit and meaning of each part. Values are clipped to their bounds."""
+"""Name, size, bounds, unit and meaning of each part. Values are clipped to their bounds. New parts come
+at the end alone, so that what reads an earlier, shorter observation reads the first numbers of this one."""
 
 _ENDS = np.cumsum([part.size for part in LAYOUT]).tolist()
 SIZE = _ENDS[-1]
+SIZES = tuple(_ENDS[-2:])
+"""That observations have had: `forces` came later."""
 SLICES = {part.name: slice(end - part.size, end) for part, end in zip(LAYOUT, _ENDS, strict=True)}
 
 
@@ -102,10 +113,13 @@ LOW, HIGH = bounds(TaskConfig())
 class Observer:
     """Observes one scene."""
 
-    def __init__(self, scene: Scene, config: TaskConfig):
-        self._scene, self._steps = scene, config.steps
+    def __init__(self, scene: Scene, config: TaskConfig, stated: Scene | None = None):
+        """scene: what there is; stated: what is known of it, None where that is the same."""
+        stated = stated or scene
+        self._height, self._stated, self._steps = scene.tissue.height, stated, config.steps
         self._low, self._high = bounds(config)
-        tissue, line = scene.tissue, scene.line_of_sight
+        tissue, line = stated.tissue, stated.line_of_sight
+        self._unit = tissue.modulus * stated.jaws.width * tissue.depth
         at = -tissue.length * (1 - (np.arange(STIFFNESS_SAMPLES) + 0.5) / STIFFNESS_SAMPLES)
         self._k_eq = columns.k_eq(tissue, at) * tissue.height / tissue.modulus
         distance = np.hypot(*np.subtract(line.camera, line.target))
@@ -116,14 +130,16 @@ class Observer:
 
     def __call__(self, now: Situation) -> Floats:
         """(SIZE,) as LAYOUT says."""
-        tissue, state, section = self._scene.tissue, now.state, now.section
+        tissue, state, section = self._stated.tissue, now.state, now.section
         if self._surfaces is None or self._surfaces[0] is not section:
-            self._surfaces = section, *surface_nodes(section, tissue.height)
+            self._surfaces = section, *surface_nodes(section, self._height)
         lower, upper = self._surfaces[1:]
         points = np.empty(4 * KEYPOINTS)
         for nodes, part in ((lower, points[: 2 * KEYPOINTS]), (upper, points[2 * KEYPOINTS :])):
             rules.keypoints(section.points[nodes, 0], state.points[nodes], tissue.length, part)
-        out = np.empty(SIZE, np.float32)
+        out, forces = np.empty(SIZE, np.float32), np.zeros(FORCES)
+        if now.holding:
+            rules.sensed(state.reactions, state.jaws, self._unit, forces)
         rules.observe(
             now.holding,
             1 - now.steps / self._steps,
@@ -140,6 +156,8 @@ class Observer:
             float(state.clearance),
             now.exposure,
             self._limits,
+            forces,
+            now.off,
             self._low,
             self._high,
             out,

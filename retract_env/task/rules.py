@@ -14,6 +14,8 @@ from numba import njit
 
 KEYPOINTS = 10
 """Points of each surface that are observed, from the free end on, equally far apart at rest."""
+FORCES = 4
+"""Numbers that the force sensors in both jaws say."""
 STIFFNESS_SAMPLES = 50
 """Places along the flap, in the middle of as many equal parts of it, where k_eq is observed."""
 
@@ -90,15 +92,19 @@ def observe(
     clearance,
     exposure,
     limits,
+    forces,
+    off,
     low,
     high,
     out,
 ):
     """The observation, as LAYOUT describes it, into out (SIZE,) float32.
 
-    jaws: (4,) m; points: (4 KEYPOINTS,) m, keypoints of the lower, then of the upper surface; sight:
-    (3,) target, slope, nearness; k_eq: (STIFFNESS_SAMPLES,), modulus / height; limits: (3,); low, high:
-    bounds (SIZE,) float32.
+    jaws: (4,) m, where they are; length, height: m, of the flap as it is stated; points: (4 KEYPOINTS,) m,
+    keypoints of the lower, then of the upper surface; sight: (3,) target, slope, nearness; k_eq:
+    (STIFFNESS_SAMPLES,), modulus / height; limits: (3,); forces: (FORCES,) E w d; off: (3,) m, by how much
+    the jaws are off in x and in y from where they were sent to, and have closed further: what is observed is
+    where they were sent to; low, high: bounds (SIZE,) float32.
     """
     dx, dy = jaws[2] - jaws[0], jaws[3] - jaws[1]
     separation = math.sqrt(dx * dx + dy * dy)
@@ -106,11 +112,11 @@ def observe(
     for value in (
         1.0 if holding else 0.0,
         time_left,
-        (jaws[0] + jaws[2]) / 2 / length,
-        (jaws[1] + jaws[3]) / 2 / length,
+        ((jaws[0] + jaws[2]) / 2 - off[0]) / length,
+        ((jaws[1] + jaws[3]) / 2 - off[1]) / length,
         -dx / separation if separation > 0 else 0.0,
         dy / separation if separation > 0 else 1.0,
-        separation / height,
+        (separation + off[2]) / height,
     ):
         out[i] = min(max(value, low[i]), high[i])
         i += 1
@@ -134,6 +140,26 @@ def observe(
     ):
         out[i] = min(max(value, low[i]), high[i])
         i += 1
+    for k in range(FORCES):
+        out[i] = min(max(forces[k], low[i]), high[i])
+        i += 1
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def sensed(reactions, jaws, unit, out):
+    """What sensors in the jaws feel, over a unit, N, into out (FORCES,).
+
+    reactions: (2, 2) N, tissue on jaw; jaws: (4,) m. Of the lower, then of the upper jaw: with what it
+    presses, and with what it drags the tissue along the flap, towards the fixed end where the jaws stand
+    upright.
+    """
+    ax, ay = jaws[2] - jaws[0], jaws[3] - jaws[1]
+    long = math.sqrt(ax * ax + ay * ay)
+    ax, ay = (ax / long, ay / long) if long > 0 else (0.0, 1.0)
+    for jaw in range(2):
+        along_axis = reactions[jaw, 0] * ax + reactions[jaw, 1] * ay
+        out[2 * jaw] = (-along_axis if jaw == 0 else along_axis) / unit
+        out[2 * jaw + 1] = -(reactions[jaw, 0] * ay - reactions[jaw, 1] * ax) / unit
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

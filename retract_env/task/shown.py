@@ -5,18 +5,21 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from retract_env import scenarios
 from retract_env.rod.chain import LANES
-from retract_env.rod.flap import HEIGHT, LENGTH_M
+from retract_env.rod.flap import DEPTH, HEIGHT, LENGTH_M
 from retract_env.rod.measures import COLUMNS
-from retract_env.rod.section import columns_of
+from retract_env.rod.section import columns_of, reactions_on
 from retract_env.scene.ziggurat import standard_normal
 from retract_env.task.arrays import (
     COST,
     COST_FRICTION,
     COST_STRAIN,
+    DRAW,
     EXPOSURE,
     FAILURE,
     INSIDE,
+    IS_DRAWN,
     MOST_FRICTION,
     MOST_STRAIN,
     REWARD_TERMS,
@@ -24,6 +27,7 @@ from retract_env.task.arrays import (
     TO_LINE,
 )
 from retract_env.task.rules import (
+    FORCES,
     FRICTION_LIMIT,
     GOES_ON,
     KEYPOINTS,
@@ -33,6 +37,7 @@ from retract_env.task.rules import (
     between,
     keypoints,
     observe,
+    sensed,
     station,
 )
 
@@ -94,13 +99,19 @@ def observe_now(lanes, rules, block, i, out):
     """Environment i observed into out."""
     points = np.empty(4 * KEYPOINTS)
     _points(lanes, block, i, points)
-    flap = block.flap[i % LANES]
+    stated, forces = lanes.stated[i], np.zeros(FORCES)
+    length, height = stated[scenarios.LENGTH], stated[scenarios.HEIGHT]
+    if lanes.holding[i]:
+        unit = stated[scenarios.MODULUS] * stated[scenarios.JAW_WIDTH] * block.flap[i % LANES, DEPTH]
+        reactions = np.empty((2, 2))
+        reactions_on(block, i % LANES, lanes.jaws[i], reactions)
+        sensed(reactions, lanes.jaws[i], unit, forces)
     observe(
         lanes.holding[i],
         1 - lanes.steps[i] / rules.steps,
         lanes.jaws[i],
-        flap[LENGTH_M],
-        flap[HEIGHT],
+        length,
+        height,
         points,
         lanes.sight[i],
         lanes.k_eq[i],
@@ -112,6 +123,8 @@ def observe_now(lanes, rules, block, i, out):
         lanes.clearance[i],
         lanes.exposure[i],
         lanes.limits[i],
+        forces,
+        lanes.off[i],
         rules.low,
         rules.high,
         out,
@@ -141,3 +154,6 @@ def tell(lanes, rules, i, row):
     row[TO_LINE], row[EXPOSURE] = lanes.clearance[i], lanes.exposure[i]
     for k in range(len(TERMS)):
         row[REWARD_TERMS + k] = lanes.terms[i, k]
+    row[IS_DRAWN] = 1.0 if lanes.drawn[i] else 0.0
+    if lanes.drawn[i]:
+        row[DRAW:] = lanes.z[i]

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
 
 from retract_env.mesh import SectionMesh
 from retract_env.physics.base import TissueState
@@ -25,3 +28,8 @@ class Situation:
     """needed by either jaw, so far"""
     overlapped: bool = False
     """whether tissue ever was where something else is"""
+    missed: bool = False
+    """whether the jaws were closed without closing on the flap, which they can where not all is known"""
+    off: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+    """(3,) m, by how much the jaws are off in x and in y from where they were sent to, and have closed
+    further"""

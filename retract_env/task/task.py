@@ -13,11 +13,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from retract_env.mesh import SectionMesh
 from retract_env.objectives import verdict
 from retract_env.physics.base import TissueState
+from retract_env.scenarios import Drawn
 from retract_env.scene import LineOfSight, Scene, Tissue
 from retract_env.task.config import TaskConfig
 from retract_env.task.observation import Observer
@@ -62,11 +63,15 @@ class Outcome:
 
 
 class RetractionTask:
-    """The task in one scene."""
+    """The task in one scene, or in what a draw makes of it."""
 
-    def __init__(self, scene: Scene, config: TaskConfig | None = None):
-        self.scene, self.config = scene, config or TaskConfig()
-        self.observation: Callable[[Situation], NDArray[np.float32]] = Observer(scene, self.config)
+    def __init__(self, stated: Scene, config: TaskConfig | None = None, z: ArrayLike | None = None):
+        """stated: what is known of the scene; z: (UNKNOWNS,) a draw of what is not, None: it is as stated."""
+        self.stated, self.config = stated, config or TaskConfig()
+        self.drawn = None if z is None else Drawn(stated, z)
+        self.scene = scene = stated if self.drawn is None else self.drawn.scene
+        """what there is"""
+        self.observation: Callable[[Situation], NDArray[np.float32]] = Observer(scene, self.config, stated)
         """from a situation to the exact observation (SIZE,)"""
         self._weights: dict[str, float] = self.config.weights.model_dump()
         self._outset = rest_state(scene, rest_section(scene)).clearance
@@ -74,7 +79,14 @@ class RetractionTask:
     def begin(self) -> Situation:
         """The flap at rest, the grasp still to be chosen."""
         section = rest_section(self.scene)
-        return self._situation(section, rest_state(self.scene, section))
+        waiting = rest_state(self.stated, section).jaws  # as far open as is known to be enough
+        return self._situation(section, replace(rest_state(self.scene, section), jaws=waiting))
+
+    def miss(self, before: Situation) -> Situation:
+        """After the jaws closed without closing on the flap: it lies as before, and they are open again."""
+        nothing = np.full(2, math.inf)
+        state = replace(before.state, required_friction=nothing)
+        return replace(before, state=state, greatest_friction=math.inf, missed=True)
 
     def hold(self, before: Situation, section: SectionMesh, state: TissueState) -> Situation:
         """After the jaws closed or moved; state belongs to section."""
@@ -86,6 +98,7 @@ class RetractionTask:
             greatest_strain=max(before.greatest_strain, float(state.worst_strain)),
             greatest_friction=max(before.greatest_friction, float(state.required_friction.max())),
             overlapped=before.overlapped or state.overlap,
+            off=before.off,
         )
 
     def _situation(self, section: SectionMesh, state: TissueState) -> Situation:
@@ -94,6 +107,11 @@ class RetractionTask:
         seen = exposed_past(outline, *line.camera, line.target[0], -self.scene.tissue.length)
         return Situation(section, state, seen)
 
+    @property
+    def z(self) -> NDArray[np.float64] | None:
+        """(UNKNOWNS,) the draw, None where there is none."""
+        return None if self.drawn is None else self.drawn.z
+
     # --- What has become of it
 
     def judge(self, before: Situation, now: Situation) -> Outcome:
@@ -101,8 +119,11 @@ class RetractionTask:
 
         Where limits end an episode, they are the certifier's, asked of the state now. Where they only cost,
         the episode ends with the target in view, and a limit that was ever broken stays so: no certifier
-        would call it a success.
+        would call it a success. Jaws that have missed the flap have let go, which ends it in either case, as
+        they can do no more.
         """
+        if now.missed:
+            return Outcome(over=True, failure="release", broke=True)
         if not now.holding:
             return Outcome()
         if self.config.limits == "end":
@@ -165,11 +186,12 @@ class RetractionTask:
         return {name: self._weights[name] * float(term) + 0.0 for name, term in terms.items()}  # no -0
 
     def info(self, now: Situation, terms: dict[str, float] | None, outcome: Outcome) -> dict[str, Any]:
-        """What a step says besides; the same keys in every step, plain values all.
+        """What a step says besides; the same keys in every step of an episode.
 
-        terms: of the reward; None where there is none, after a reset.
+        terms: of the reward; None where there is none, after a reset. With `unknowns`, the draw, where the
+        scene is not quite as it is stated.
         """
-        return {
+        told: dict[str, Any] = {
             "is_success": outcome.success,
             "failure": outcome.failure,
             "cost": self.cost(now),
@@ -180,6 +202,7 @@ class RetractionTask:
             "exposure": now.exposure,
             "reward_terms": dict.fromkeys(self._weights, 0.0) if terms is None else terms,
         }
+        return told if self.drawn is None else told | {"unknowns": self.drawn.z.copy()}
 
     def _way(self, now: Situation) -> float:
         """Part of the way from the clearance at rest to what the scene asks for, in [0, 1]."""

@@ -30,4 +30,5 @@ def play(env: gym.Env[Any, Any], seed: int, steps: int = 6) -> list[Any]:
 def digest(said: list[Any]) -> str:
     """Of every bit of it."""
     plain = [[x.tobytes().hex() if isinstance(x, np.ndarray) else x for x in one] for one in said]
-    return hashlib.sha256(json.dumps(plain).encode()).hexdigest()
+    text = json.dumps(plain, default=np.ndarray.tolist)
+    return hashlib.sha256(text.encode()).hexdigest()

@@ -40,8 +40,11 @@ def go_on(env: TissueRetractEnv, steps: int) -> list[Any]:
         (FEM, {"scene": "random", "sensors": {"noise": 0.01}, "obs": "state"}),
         (BULLET, {"grasp": {"x": -0.03, "compression": 1e-3}}),
         (ROD, {"scene": "random", "sensors": {"noise": 0.01}}),
+        (FEM, {"scene": "random", "unknowns": True}),
+        (BULLET, {"unknowns": True, "grasp": {"x": -0.03, "compression": 1e-3}}),
+        (ROD, {"scene": "random", "unknowns": True, "grip": "force"}),
     ],
-    ids=["fem", "noisy", "bullet", "rod"],
+    ids=["fem", "noisy", "bullet", "rod", "unknown", "unknown on bullet", "unknown on the rod"],
 )
 def test_a_copy_goes_on_as_the_original(
     make: Callable[..., TissueRetractEnv], how: Any, name: str, options: dict[str, Any]

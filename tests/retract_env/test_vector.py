@@ -10,7 +10,7 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 from retract_env.env import TissueRetractEnv
-from retract_env.scene import LineOfSight, load_scene
+from retract_env.scene import UNKNOWNS, LineOfSight, load_scene
 from retract_env.task import SIZE, TaskConfig, default_scene
 from tests.retract_env.extremes import corner, scene_with
 from tests.retract_env.playing import ROD
@@ -31,6 +31,7 @@ from tests.retract_env.vectors import (  # fmt: skip
 
 SHIPPED = ("homogeneous", "homogeneous_near", "ten_veins", "twenty_veins", "wide")
 LINE = {"camera": [-0.09, 0.05], "target": [-0.015, 0.0]}
+DRAW = np.linspace(-1, 1, len(UNKNOWNS)).tolist()
 LIMITS = default_scene().limits.model_dump()
 SHORT: dict[str, Any] = {"steps": 5}
 MODES = [NEXT, SAME, DISABLED]
@@ -50,6 +51,19 @@ CASES: dict[str, dict[str, Any]] = {
     "noise": {"scene": "random", "sensors": {"noise": 0.05}, "task": SHORT},
     "noise and grasp": {"scene": "random", "sensors": {"noise": {"strain": 0.1}}, "grasp": HELD},
     "hidden": {"scene": "random", "sensors": {"noise": {"k_eq": 0.5}, "hide": ["lower", "strain"]}},
+    "unknown": {"scene": "random", "unknowns": True},
+    "unknown, by force": {"scene": "ten_veins", "unknowns": True, "grip": "force", "grasp": "spring"},
+    "unknown, held": {"scene": "random", "unknowns": True, "grasp": HELD, "sensors": {"noise": 0.02}},
+    "hardly known": {
+        "scene": "random",
+        "unknowns": {"closing": 2e-3, "thickness": 0.4, "grasp": 0.02, "target": 0.02, "jaw_width": 0.5},
+    },
+    "hardly known, cost": {
+        "scene": "random",
+        "unknowns": {"closing": 1e-3},
+        "grasp": HELD,
+        "task": {"limits": "cost", "steps": 6},
+    },
     "cost": {"scene": "random", "task": {"limits": "cost", "steps": 12}},
     "cost, held": {"scene": "random", "grasp": "spring", "task": {"limits": "cost", "steps": 9, "cap": 5.0}},
     "other task": {
@@ -129,6 +143,8 @@ def test_every_slot_has_a_scene_of_its_own(mode: AutoresetMode) -> None:
         {"grasp": HELD},
         {"grasp": "agent"},
         {"line_of_sight": LINE},
+        {"unknowns": DRAW},
+        {"scene": "random", "unknowns": DRAW, "grasp": HELD},
         {"scene": "ten_veins", "grasp": "spring", "line_of_sight": LINE},
     ],
     ids=str,

@@ -24,6 +24,7 @@ KINDS: dict[str, dict[str, Any]] = {
     "noisy": {"scene": "random", "sensors": {"noise": 0.01}, "autoreset_mode": "SameStep"},
     "veins": {"scene": "ten_veins", "grasp": "spring", "autoreset_mode": "SameStep"},
     "held": {"scene": "random", "grasp": HELD},
+    "unknown": {"scene": "random", "unknowns": {"closing": 5e-4}, "task": {"steps": 9}},
     "spring": {"scene": "random", "grasp": "spring"},
 }
 MOVE = np.array([0.3, 0.8, -0.7])

@@ -19,7 +19,7 @@ from baselines.learning import demos
 from retract_env.physics.registry import PHYSICS
 from retract_env.rollout import gripper_pose
 from retract_env.scene import sample_scene
-from retract_env.task import SLICES
+from retract_env.task import SIZE, SLICES
 
 BENCHMARK = Path(__file__).resolve().parents[3] / "configs" / "benchmark.yaml"
 NAME = "toy/eased-v0"
@@ -127,7 +127,7 @@ def test_plans_are_played_on_the_physics_that_is_asked_for(tasks: list[dict[str,
 def test_what_is_learned_from_has_a_grasp_in_each_episode(dataset: Any) -> None:
     learned = demos.load_demos(NAME)
     assert learned.episodes == 2
-    assert learned.observations.shape == (len(learned.actions), 107)
+    assert learned.observations.shape == (len(learned.actions), SIZE)
     assert (learned.observations[:, SLICES["holding"]] == 0).sum() == 2
     assert demos.load_demos(NAME, 1).episodes == 1
 

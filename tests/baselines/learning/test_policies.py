@@ -14,7 +14,7 @@ import pytest
 
 from baselines.benchmark.methods import Method, compete
 from baselines.learning.policies import JSON, TENSORS, PolicyError, load_policy, save_policy, shipped
-from retract_env.task import HIGH, LOW, SIZE, default_scene
+from retract_env.task import HIGH, LOW, SIZE, SIZES, default_scene
 from tests.baselines.trained import policy
 
 
@@ -82,6 +82,27 @@ def flip_a_bit(folder: Path) -> None:
     (folder / TENSORS).write_bytes(data)
 
 
+def test_a_policy_of_before_reads_the_numbers_that_it_knows() -> None:
+    """Parts are added at the end alone, and a policy that is begun from heeds none of the new ones."""
+    for name in shipped():
+        old = load_policy(name)
+        wide = old.widened()
+        assert len(old.mean) == SIZES[0] and len(wide.mean) == SIZE
+        for seen in observations(5):
+            other = seen.copy()
+            other[SIZES[0] :] = 0
+            assert np.array_equal(old(seen), old(other))
+            assert wide(seen) == pytest.approx(old(seen), abs=1e-5)
+            assert wide(other) == pytest.approx(old(seen), abs=1e-5)
+    with pytest.raises(PolicyError, match=r"from 108 to 3 numbers, allowed 107 or 111 to 3$"):
+        policy(
+            weights=(np.zeros((3, 108), np.float32),),
+            biases=(np.zeros(3, np.float32),),
+            mean=np.zeros(108, np.float32),
+            deviation=np.ones(108, np.float32),
+        )
+
+
 @pytest.mark.parametrize(
     ("harm", "message"),
     [
@@ -95,7 +116,7 @@ def flip_a_bit(folder: Path) -> None:
         (lambda f: change_json(f, activation="gelu"), "policy.json: activation: Input should be 'tanh' or"),
         (lambda f: change_json(f, layers=[]), "policy.json: layers: "),
         (
-            lambda f: change_json(f, layers=[[107, 8], [8, 5], [5, 2]]),
+            lambda f: change_json(f, layers=[[SIZE, 8], [8, 5], [5, 2]]),
             "policy.json: layers[2] = [5, 2]",
         ),
         (lambda f: change_json(f, clip="wide"), "policy.json: clip = 'wide', not a number"),
