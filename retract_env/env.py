@@ -68,11 +68,11 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
     | Num | Action | -1 | 1 |
     | --- | --- | --- | --- |
     | 0 | position along the flap | free end | 0.55 jaw widths before the fixed end |
-    | 1 | compression of the flap between the jaws, geometrically | 0.02 height | 0.5 height |
+    | 1 | compression of the flap between the jaws, geometrically | 0.02 s height | 0.5 height |
     | 2 | none | | |
 
-    With `grip="force"` number 1 is the force with which the jaws press, geometrically from 0.03 to 1 E w d: E
-    is the tissue's modulus, w the jaws' width, d the flap's depth. For the paper's flap that is 5 to 176 mN;
+    s is the square of the flap's height over its length, over that of the paper's flap, 1 there. With
+    `grip="force"` number 1 is the force with which the jaws press, geometrically from 0.03 s to 1 E w d: E is the tissue's modulus, w the jaws' width, d the flap's depth. For the paper's flap that is 5 to 176 mN;
     Eq. 5's compression, a quarter of the height, presses with 109 mN there, and one of 0.02 with some 8. The
     force is the mean of both jaws' normal reactions, which differ by what they lift.
 

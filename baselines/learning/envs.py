@@ -49,12 +49,18 @@ class Judged(gym.Wrapper[Any, Any, Any, Any]):
 
     def play(self, policy: Policy, scenes: Sequence[Mapping[str, Any] | None]) -> list[dict[str, Any]]:
         """Outcome of an episode in each scene that is this environment's share; None is its own scene."""
-        return [outcome(self.unwrapped, policy, scene) for scene in scenes[self.rank :: self.of]]
+        share = list(enumerate(scenes))[self.rank :: self.of]
+        return [outcome(self.unwrapped, policy, scene, number) for number, scene in share]
 
 
-def outcome(env: gym.Env[Any, Any], policy: Policy, scene: Mapping[str, Any] | None) -> dict[str, Any]:
-    """What became of one episode: success, failure, total reward, greatest strain over its limit, steps."""
-    played = rollout(env, policy, seed=0, options=None if scene is None else {"scene": scene})
+def outcome(
+    env: gym.Env[Any, Any], policy: Policy, scene: Mapping[str, Any] | None, seed: int
+) -> dict[str, Any]:
+    """What became of one episode: success, failure, total reward, greatest strain over its limit, steps.
+
+    seed: of the sensors' noise and of what is not known, where the policy's environment has any.
+    """
+    played = rollout(env, policy, seed=seed, options=None if scene is None else {"scene": scene})
     last = played.infos[-1]
     limit = cast(TissueRetractEnv, env.unwrapped).episode.task.scene.limits.strain
     return {
@@ -114,7 +120,7 @@ def play(
     """Outcomes of an episode in each scene in one environment made for it; None is its own scene."""
     env = gym.make(env_id, disable_env_checker=True, **arguments)
     try:
-        return [outcome(env, policy, scene) for scene in scenes]
+        return [outcome(env, policy, scene, number) for number, scene in enumerate(scenes)]
     finally:
         env.close()
 

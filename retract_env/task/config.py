@@ -43,7 +43,8 @@ class TaskConfig(Frozen):
     move: Annotated[tuple[Move, Move, Turn], Listed] = (2e-3, 2e-3, math.radians(6.0))
     """m, m, rad: how far -1 or 1 moves the gripper in x, in y and in its angle."""
     compression: Annotated[tuple[Share, Share], Listed] = (0.02, 0.5)
-    """Least and greatest compression of a grasp over the flap's height. The spring model's are at most half
+    """Least and greatest compression of a grasp over the flap's height, for flaps as slender as the paper's;
+    for others `rules.grip_range` says the least. The spring model's are at most half
     the strain limit (Eq. 5). Equal steps of the action are equal factors: needed friction goes with one over
     the compression, and the lightest grips that hold differ by that much."""
     grip: Annotated[Literal["compression", "force"], one_of(("compression", "force"))] = "compression"

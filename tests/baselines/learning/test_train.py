@@ -95,7 +95,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
     return run
 
 
-@pytest.mark.parametrize("algorithm", ["ppo", "sac"])
+@pytest.mark.parametrize("algorithm", ["ppo", "ppo_lagrangian", "sac"])
 def test_a_run_that_stopped_ends_as_it_would_have(
     tmp_path: Path, whole: Callable[[str], Path], algorithm: str
 ) -> None:
@@ -289,10 +289,10 @@ def test_a_folder_without_a_sound_run_is_refused(tmp_path: Path, content: str) -
 @pytest.mark.parametrize(
     ("algorithm", "steps", "settings"),
     [
-        ("ppo", 8192, {"rollout": 16}),
-        ("ppo_lagrangian", 8192, {"rollout": 16}),
-        ("sac", 4096, {"updates": 8}),
-        ("tqc", 4096, {"updates": 8}),
+        ("ppo", 4096, {"rollout": 16}),
+        ("ppo_lagrangian", 4096, {"rollout": 16}),
+        ("sac", 2048, {"updates": 8}),
+        ("tqc", 2048, {"updates": 8}),
     ],
 )
 def test_each_algorithm_learns_to_lift(

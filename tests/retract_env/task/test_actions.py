@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from retract_env.grasp import Grasp
 from retract_env.mesh import patch_ends
-from retract_env.scene import sample_scene
+from retract_env.scene import Scene, sample_scene
 from retract_env.task import TaskConfig, actions, default_scene
 
 numbers = st.tuples(*[st.floats(-1, 1)] * 3).map(np.array)
@@ -48,6 +48,36 @@ def test_the_ends_of_the_range() -> None:
         patch_ends(scene, last.x + 1e-8)
     outside = Grasp(-0.06, 4e-3)
     assert actions.from_grasp(outside, scene)[:2].tolist() == [-1, 1]
+
+
+@few
+@given(st.floats(5e-4, 0.02), st.sampled_from(["compression", "force"]), numbers)
+def test_the_same_action_holds_thicker_flaps_as_much_more_firmly_as_they_are_harder_to_bend(
+    height: float, grip: str, action: Any
+) -> None:
+    """With the square of height over length, as far as the firmest grip allows; and it has its inverse."""
+    config = TaskConfig.from_data({"grip": grip})
+    light, firm = config.firmness
+    usual = default_scene()
+    other = usual.model_copy(update={"tissue": usual.tissue.model_copy(update={"height": height})})
+    times = (height / usual.tissue.height) ** 2
+
+    def share(scene: Scene) -> float:
+        """Compression over the height, or force over E w d."""
+        tissue, (firmness,) = scene.tissue, actions.to_grasp(action, scene, config).firmness.values()
+        unit = tissue.modulus * scene.jaws.width * tissue.depth if grip == "force" else tissue.height
+        return firmness / unit
+
+    assert light * (1 - 1e-9) <= share(usual) <= firm
+    if light * times <= firm / 2:
+        if times >= 1:
+            assert share(other) == pytest.approx(min(times * share(usual), firm))
+        else:  # the range is wider, as its firmest end stays
+            assert times * share(usual) * (1 - 1e-9) <= share(other) <= share(usual) * (1 + 1e-9)
+    grasp = actions.to_grasp(action, other, config)
+    again = actions.to_grasp(actions.from_grasp(grasp, other, config), other, config)
+    assert again.x == pytest.approx(grasp.x)
+    assert list(again.firmness.values()) == pytest.approx(list(grasp.firmness.values()))
 
 
 @few
