@@ -71,8 +71,9 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
     | 1 | compression of the flap between the jaws, geometrically | 0.02 s height | 0.5 height |
     | 2 | none | | |
 
-    s is the square of the flap's height over its length, over that of the paper's flap, 1 there. With
-    `grip="force"` number 1 is the force with which the jaws press, geometrically from 0.03 s to 1 E w d: E is the tissue's modulus, w the jaws' width, d the flap's depth. For the paper's flap that is 5 to 176 mN;
+    s is the square of the flap's height over its length, over that of the paper's flap, where it is 1. With
+    `grip="force"` number 1 is the force with which the jaws press, geometrically from 0.03 s to 1 E w d: E is
+    the tissue's modulus, w the jaws' width, d the flap's depth. For the paper's flap that is 5 to 176 mN;
     Eq. 5's compression, a quarter of the height, presses with 109 mN there, and one of 0.02 with some 8. The
     force is the mean of both jaws' normal reactions, which differ by what they lift.
 
