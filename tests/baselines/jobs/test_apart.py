@@ -7,7 +7,9 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -67,16 +69,17 @@ def test_what_it_does_is_done_one_after_the_other_in_another_process() -> None:
 
 def test_whatever_happens_there_is_told_and_the_next_is_done() -> None:
     signals = [(kill, signal.SIGSEGV, "died", "signal 11, SIGSEGV")] if os.name == "posix" else []
+    cases: list[tuple[Callable[[Any], Any], Any, str, str]] = [
+        (fail, "so\nmuch", "raised", "ValueError: so much (test_apart.py, line "),
+        (exit_politely, None, "raised", "SystemExit: had enough ("),
+        (not_plain, None, "raised", "TypeError: "),
+        (infinite, None, "raised", "ValueError: "),
+        (leave, 7, "died", "exit code 7"),
+        (leave, 0, "died", "exit code 0"),
+        *signals,
+    ]
     with Apart(silent=True) as apart:
-        for function, argument, trouble, detail in [
-            (fail, "so\nmuch", "raised", "ValueError: so much (test_apart.py, line "),
-            (exit_politely, None, "raised", "SystemExit: had enough ("),
-            (not_plain, None, "raised", "TypeError: "),
-            (infinite, None, "raised", "ValueError: "),
-            (leave, 7, "died", "exit code 7"),
-            (leave, 0, "died", "exit code 0"),
-            *signals,
-        ]:
+        for function, argument, trouble, detail in cases:
             answer = apart.call(function, argument, 60)
             assert (answer.trouble, answer.value) == (trouble, None)
             assert answer.detail.startswith(detail) and "\n" not in answer.detail
@@ -84,9 +87,7 @@ def test_whatever_happens_there_is_told_and_the_next_is_done() -> None:
 
 
 @pytest.mark.skipif(os.name != "posix", reason="process groups are POSIX's")
-def test_who_hangs_is_ended_with_all_that_it_began(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_who_hangs_is_ended_with_all_that_it_began(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "pid"
     with Apart(silent=True, may_fork=True) as apart:
         answer = apart.call(chatter, str(file), 3)
