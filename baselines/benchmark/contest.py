@@ -66,7 +66,7 @@ def compete(task: WorkItem) -> Row:
         "clearance": None,
         "strain_limit": scene.limits.strain,
         "friction_limit": scene.limits.friction,
-        "survival": None,
+        "survival": None if task["survival"] is None else 0.0,
         "survival_draws": 0,
         "survival_judged": 0,
         "survival_undecided": 0,
@@ -121,14 +121,14 @@ def _judged(scene: Scene, grasp: Grasp, path: JawPath, task: WorkItem) -> Row:
         "required_friction": min(judged.required_friction, 1e9),  # JSON has no infinity
         "clearance": judged.clearance,
     }
-    return row if task["survival"] is None else row | _survival(scene, grasp, path, judged, task)
+    if task["survival"] is None or not judged.certified:
+        return row
+    return row | _survival(scene, grasp, path, judged, task)
 
 
 def _survival(scene: Scene, grasp: Grasp, path: JawPath, judged: Certificate, task: WorkItem) -> Row:
     """What a plan survives, and its strain where it is held as firmly as nearly everything asks for."""
     asked = task["survival"]
-    if not judged.certified:
-        return {"survival": 0.0}
     z = draws(asked["draws"], asked["seed"] + task["number"])
     found = survived(scene, grasp, path, judged.history, z, asked["judged"])
     row: Row = {

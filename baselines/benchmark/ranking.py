@@ -31,14 +31,15 @@ where it does, else that of the same place and motion held more firmly; median w
 the share of scenes where there is.
 **time**: median until grasp and path are handed in, on one thread; {limit:g} s are allowed, and more is a
 failure (`time`). **decision**: mean time of one action of a policy. **Bullet**: share of scenes where the
-policy succeeds in `TissueRetract-v0`, played there without retraining. **closed loop**: share of draws where
-it succeeds if it sees what happens, on {played} draws a scene.
+policy succeeds in `TissueRetract-v0`, played there without retraining.{closed_loop}
 
 **of ctc's**: share that is certified of the scenes where ctc is. **score**: interquartile mean of the least
 strain known over the method's, 0 where it is not certified. **friction margin** (part of the limit that is
 left) and **clearance**: medians where certified. **FEM**: mean equilibria computed until grasp and path are
 handed in. `raised`, `returned` and `died`: what became of a method whose answer cannot be judged. Nothing
 here was chosen by its results on these scenes."""
+CLOSED_LOOP = """
+**closed loop**: share of draws, {played} a scene, on which a policy succeeds if it sees what happens."""
 YOUR_OWN = """\
 Any function of a scene that returns a grasp and a path, or a policy, is judged like these: a file `mine.py`,
 and `retract benchmark --method mine:lift`.
@@ -66,7 +67,7 @@ def legend(benchmark: Benchmark) -> str:
         draws=benchmark.survival.draws,
         judged=benchmark.survival.judged,
         limit=benchmark.limit,
-        played=benchmark.played or "no",
+        closed_loop=CLOSED_LOOP.format(played=benchmark.played) if benchmark.played else "",
     )
 
 

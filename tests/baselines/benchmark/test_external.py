@@ -118,7 +118,9 @@ def test_whatever_it_does_costs_its_own_row(toys: Path, name: str, reason: str, 
 
 
 def test_one_that_hangs_is_ended(toys: Path) -> None:
-    row = compete(task("toys:hangs", limit=2.0))
+    survival = {"draws": 40, "seed": 53_000_001, "judged": 1}
+    row = compete(task("toys:hangs", limit=2.0, survival=survival))
+    assert row["survival"] == 0
     assert (row["certified"], row["reason"], row["detail"]) == (False, "time", "nothing within 2 s")
 
 

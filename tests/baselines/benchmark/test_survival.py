@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from baselines.benchmark import attempts, contest
+from baselines.benchmark import attempts
 from baselines.benchmark.contest import compete
 from baselines.benchmark.methods import Method, work_item
 from baselines.benchmark.splits import load_benchmark
@@ -28,7 +28,6 @@ from planners.certify import Robust
 from planners.paths import ctc
 from planners.swift.planner import SEED
 from retract_env.grasp import Grasp
-from retract_env.rollout import rollout
 from retract_env.scenarios import draws
 from retract_env.scene import Uncertainty
 from retract_env.task import default_scene
@@ -148,4 +147,3 @@ def test_a_policy_is_played_on_the_first_draws(monkeypatch: pytest.MonkeyPatch) 
     )
     assert attempts.played_on_draws(task) == {"closed_loop": 0.5}
     assert np.array([options["unknowns"] for options in seen]) == pytest.approx(draws(40, 53_000_004)[:4])
-    assert rollout is attempts.rollout and contest.ACT == ("policy", "external")
