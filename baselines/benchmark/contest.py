@@ -10,13 +10,17 @@ from __future__ import annotations
 import atexit
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 from baselines.benchmark.attempts import HandedIn, hand_in, played_on_draws, transferred
+from baselines.benchmark.external import found_at
 from baselines.benchmark.methods import Method
+from baselines.benchmark.splits import BenchmarkError
 from baselines.benchmark.survival import ENOUGH, made_firm, survived
 from baselines.jobs.apart import Answer, Apart
 from baselines.jobs.journal import Row, WorkItem
+from baselines.jobs.version import code_version
 from planners.certify import FAILURES, Certificate, certify
 from retract_env.grasp import Grasp, JawPath
 from retract_env.scenarios import draws
@@ -50,8 +54,9 @@ def _where(method: Method, limit: float) -> Iterator[Ask]:
 
 def compete(task: WorkItem) -> Row:
     """One method on one scene, judged. The row's `timing` alone differs from run to run, and what takes about
-    as long as the limit. task: see `work_item`."""
+    as long as the limit. task: see `work_item`. Raises BenchmarkError where it is for other code."""
     method, scene = Method(**task["method"]), Scene.from_data(task["scene"])
+    _check_same_code(method, task)
     row: Row = {
         "method": method.name,
         "run": method.run,
@@ -92,6 +97,17 @@ def compete(task: WorkItem) -> Row:
         "decision_seconds": handed.decision_seconds,
     }
     return row
+
+
+def _check_same_code(method: Method, task: WorkItem) -> None:
+    """Rows are kept by the code that made them: a cluster that was not updated, or sources that were changed
+    during the run, would make others."""
+    if task["code"] not in ("", code_version()):
+        raise BenchmarkError(f"a worker runs retract {code_version()}, the work is for {task['code']}")
+    if method.kind == "external" and found_at(method.name, Path(method.folder))[1] != method.content:
+        raise BenchmarkError(
+            f"{method.name}: its files have changed since the run began; start again, with its rows anew"
+        )
 
 
 def _handed(answer: Answer, limit: float) -> HandedIn:

@@ -33,9 +33,10 @@ class Nonsense(ValueError):
     """What a method returned cannot be judged; the message is one line."""
 
 
-def found_at(named: str) -> tuple[Path, str]:
+def found_at(named: str, first: Path | None = None) -> tuple[Path, str]:
     """The folder that the module or package of "module:name" lies in, and a hash of its sources.
 
+    first: folder that is looked in before those of installed packages; the one at hand if not given.
     Of a package every file counts, weights too, but what Python compiled; of a module by itself its file.
     Raises BenchmarkError.
     """
@@ -43,7 +44,7 @@ def found_at(named: str) -> tuple[Path, str]:
     parts = module.split(".")
     if not all(part.isidentifier() for part in [*parts, name]):
         raise BenchmarkError(f"method = {named!r}, allowed the name of a method, or module:function")
-    spec = PathFinder.find_spec(parts[0], [str(Path.cwd()), *sys.path])
+    spec = PathFinder.find_spec(parts[0], [str(first or Path.cwd()), *sys.path])
     if spec is None:
         raise BenchmarkError(
             f"method = {named!r}: no module {parts[0]!r}, allowed one of this folder, or an installed one"

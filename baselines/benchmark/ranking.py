@@ -41,8 +41,8 @@ here was chosen by its results on these scenes."""
 CLOSED_LOOP = """
 **closed loop**: share of draws, {played} a scene, on which a policy succeeds if it sees what happens."""
 YOUR_OWN = """\
-Any function of a scene that returns a grasp and a path, or a policy, is judged like these: a file `mine.py`,
-and `retract benchmark --method mine:lift`.
+Any function of a scene that returns a grasp and a path, or a policy, is judged like these: with this as a
+module `mine` in the folder where it is called, by `retract benchmark --method mine:lift`.
 
 ```python
 from retract_env.grasp import Grasp, JawPath

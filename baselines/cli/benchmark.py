@@ -53,7 +53,7 @@ def benchmark_command(
     """Rank all planners, trained policies, and methods of your own, on frozen scenes. A run that stopped goes
     on."""
     with exit_codes(), expected():
-        from baselines.benchmark.contest import compete
+        from baselines.benchmark.contest import ACT, compete
         from baselines.benchmark.references import load_references
         from baselines.benchmark.report import write_report
         from baselines.benchmark.splits import load_benchmark
@@ -67,7 +67,7 @@ def benchmark_command(
         check_physics(about.policy_physics, about.policy_resolution)
         methods = chosen(methods_of(policies or TRAINED), method)
         check_installed(methods)
-        if transfer and any(one.kind == "policy" for one in methods):
+        if transfer and any(one.kind in ACT for one in methods):
             _check_bullet()
         tasks = tasks_of(about, methods, split or list(about.splits), scenes, transfer)
         announce_compilation("fem", "planning", about.policy_physics)

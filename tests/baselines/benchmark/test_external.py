@@ -84,7 +84,7 @@ def toys(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def task(name: str, **changes: Any) -> dict[str, Any]:
     asked: dict[str, Any] = {"scene": default_scene().dump(), "resolution": "coarse", "limit": 60.0}
-    return work_item(method=asdict(Method.external(name)), **(asked | changes))
+    return work_item(**({"method": asdict(Method.external(name))} | asked | changes))
 
 
 def test_a_plan_is_judged_like_ours(toys: Path) -> None:
@@ -149,6 +149,8 @@ def test_rows_are_kept_by_its_sources(toys: Path) -> None:
     for folder in (package, package.parent):
         (folder / "__init__.py").write_text("")
     (package / "mine.py").write_text("def f(scene): ...\n")
+    with pytest.raises(BenchmarkError, match=r"^toys:good: its files have changed since the run began"):
+        compete(task("toys:good", method=asdict(before)))
     contents = [Method.external("pack.inner.mine:f").content]
     for other in ("weights.bin", "other.py"):
         (package.parent / other).write_text("1")
