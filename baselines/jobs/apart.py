@@ -128,13 +128,18 @@ class Apart:
         return Answer(trouble="died", detail=_ended(code))
 
 
-def end_with_parent() -> None:
-    """Have a process end when the one that began it is gone, which it would else wait for, for ever."""
+def end_with_parent(leader: bool = False) -> None:
+    """Have a process end when the one that began it is gone, which it would else wait for, for ever.
+
+    leader: whether it leads a group of its own, which then ends with it.
+    """
     parent = multiprocessing.parent_process()
     assert parent is not None
 
     def watch() -> None:
         multiprocessing.connection.wait([parent.sentinel])
+        if leader:
+            os.killpg(os.getpid(), signal.SIGKILL)
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
@@ -163,9 +168,9 @@ def _ended(code: int | None) -> str:
 
 def _serve(connection: Connection, silent: bool) -> None:
     """In the process: do what is asked for, until nobody asks any more."""
-    end_with_parent()
     if hasattr(os, "setsid"):
         os.setsid()  # so that what it begins can be ended with it; and Ctrl-C is its parent's affair
+    end_with_parent(leader=hasattr(os, "setsid"))
     if silent:
         sys.stdout.flush()
         nowhere = os.open(os.devnull, os.O_WRONLY)
