@@ -11,8 +11,9 @@ import gymnasium as gym
 import pytest
 from rich.console import Console
 
-from baselines.benchmark.methods import UNTRAINED, Method, compete
-from baselines.benchmark.splits import load_benchmark
+from baselines.benchmark.contest import compete
+from baselines.benchmark.methods import UNTRAINED, Method, work_item
+from baselines.benchmark.ranking import YOUR_OWN
 from baselines.benchmark.tasks import methods_of
 from baselines.learning.algorithms import ALGORITHMS
 from baselines.paper.reproduce import names, reproduce
@@ -98,23 +99,33 @@ def test_an_algorithm(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     assert policy.name == "a2c" and policy.training["curve"][-1]["steps"] == 16
 
 
-def test_a_benchmark_method(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_benchmark_method(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first listing is a file of somebody's own, and judged; it is the one of the results' page."""
+    listing = example("A benchmark method").split("\n\n\ndef follow")[0]
+    assert f"```python\n{listing}\n```" in YOUR_OWN
+    (tmp_path / "mine.py").write_text(example("A benchmark method"), "utf-8")
+    monkeypatch.chdir(tmp_path)
+    rows = [
+        compete(
+            work_item(
+                method=asdict(Method.external(f"mine:{name}")),
+                scene=default_scene().dump(),
+                resolution="coarse",
+                limit=120.0,
+            )
+        )
+        for name in ("lift", "follow")
+    ]
+    assert [row["method"] for row in rows] == ["mine:lift", "mine:follow"]
+    assert all(row["max_strain"] > 0 and not row["detail"] for row in rows)
+    assert rows[0]["decisions"] == 0 and rows[1]["decisions"] > 1
+
+
+def test_a_method_that_plays_untrained(monkeypatch: pytest.MonkeyPatch) -> None:
     """It is listed, plays, and is judged."""
-    monkeypatch.setitem(UNTRAINED, "lift", UNTRAINED["nothing"])  # so that it is taken out again
-    exec(compile(example("A benchmark method"), "example", "exec"), {})
-    benchmark = load_benchmark(ROOT / "configs" / "benchmark.yaml")
-    assert Method("lift", "lift") in methods_of(benchmark, None)
-    item = {
-        "method": asdict(Method("lift", "lift")),
-        "split": "",
-        "number": 0,
-        "scene": default_scene().dump(),
-        "resolution": "coarse",
-        "policy_physics": "fem",
-        "policy_resolution": "coarse",
-        "lead_out": 0,
-        "seed": 0,
-        "transfer": False,
-    }
+    monkeypatch.setitem(UNTRAINED, "up", UNTRAINED["nothing"])  # so that it is taken out again
+    exec(compile(example("A method that plays untrained"), "example", "exec"), {})
+    assert Method("up", "up") in methods_of(None)
+    item = work_item(method=asdict(Method("up", "up")), scene=default_scene().dump(), resolution="coarse")
     row = compete(item)
-    assert row["method"] == "lift" and row["decisions"] > 1 and row["max_strain"] > 0
+    assert row["method"] == "up" and row["decisions"] > 1 and row["max_strain"] > 0

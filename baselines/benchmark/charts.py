@@ -14,9 +14,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 from numpy.typing import NDArray
 
+from baselines.benchmark.contest import REASONS
 from baselines.benchmark.scores import Summary
 from baselines.pictures.drawing import STYLE
-from planners.certify import FAILURES
 from retract_env.drawing.palette import GREY, INK, SIGHT
 
 Array = NDArray[np.float64]
@@ -31,6 +31,10 @@ FAILED = {
     "release": "#cc79a7",
     "contact": "#56b4e9",
     "diverged": "#6d757d",
+    "time": "#0072b2",
+    "raised": "#7b3294",
+    "returned": "#8c6d31",
+    "died": "#22282e",
 }
 LINES = ("#0072b2", "#d55e00", "#00805f", "#cc79a7", "#e69f00", "#56b4e9", "#22282e", "#999999")
 """Okabe and Ito's colours, but the yellow, which is too pale for a line."""
@@ -49,7 +53,7 @@ def share_chart(found: Sequence[Summary]) -> bytes:
         )
         axes.errorbar(certified, at, xerr=np.maximum(ends.T, 0), fmt="none", ecolor=INK, capsize=2.5, lw=1)
         left = certified.copy()
-        for failure in FAILURES:
+        for failure in REASONS:
             part = np.array([s.failures[failure] for s in found])
             if part.any():
                 axes.barh(at, part, left=left, color=FAILED[failure], label=failure.replace("_", " "))

@@ -1,4 +1,4 @@
-"""The benchmark's results as files: rows in CSV, a table in Markdown, charts, and one HTML page of it all."""
+"""The benchmark's results as files: rows in CSV, the ranking in Markdown, charts, one HTML page of it all."""
 
 from __future__ import annotations
 
@@ -6,56 +6,74 @@ import base64
 import csv
 import html
 import io
-import math
+import re
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from baselines.benchmark.charts import curve_chart, profile_chart, share_chart
-from baselines.benchmark.scores import Interval, Summary, best_known, scores_by_method, summaries
+from baselines.benchmark.ranking import (
+    RANKING,
+    YOUR_OWN,
+    details,
+    heading,
+    in_text,
+    legend,
+    table_of,
+    troubles,
+)
+from baselines.benchmark.scores import Summary, best_known, scores_by_method, summaries
+from baselines.benchmark.splits import Benchmark
 from baselines.benchmark.tasks import numbers
 from baselines.jobs.files import written_whole
 from baselines.jobs.journal import Row
-from planners.certify import FAILURES
 
 NAME = "benchmark"
 Curves = Mapping[str, Sequence[Sequence[Mapping[str, Any]]]]
 """Training's lines, by method, one list for each seed."""
+Charts = Mapping[str, tuple[str, bytes]]
+"""Title and PNG by the file's name."""
+STYLE = (
+    "body{font:15px/1.5 sans-serif;max-width:75em;margin:2em auto;padding:0 1em;color:#22282e}"
+    "table{border-collapse:collapse}"
+    "td,th{padding:.3em .7em;border-bottom:1px solid #c9ced3;text-align:left}"
+    "img{max-width:100%}pre{background:#f4f5f6;padding:.7em}"
+)
 
-LEGEND = """\
-**scenes**: how many, the first of the split, where a method was not judged on all of them.
-**certified**: share of scenes that the certifier passes on its mesh `{resolution}`, with the 95 %
-interval over scenes and training seeds. **of ctc's**: the same among the scenes that ctc certifies.
-**score**: interquartile mean of the least certified strain known for the scene over the method's, 0
-where it is not certified, with its interval. **excess**: strain over the best known one, less 1; it,
-**friction margin** (part of the limit that is left) and **clearance** are medians where certified.
-**FEM**: equilibria computed until grasp and path were handed in; **time**: the median until then, on one
-thread; what the certifier spends is left out. **decision**: mean time of one action of a policy.
-**Bullet**: share of scenes where the policy succeeds in `TissueRetract-v0`, played there without
-retraining."""
+
+@dataclass(frozen=True)
+class Ranked:
+    """A split's results."""
+
+    title: str
+    said: str
+    """which scenes, which code"""
+    summary: list[Summary]
+    troubles: list[str]
 
 
 def write_report(
     rows: Sequence[Row],
     folder: Path,
-    resolution: str,
+    benchmark: Benchmark,
     command: str,
     curves: Curves,
     known: Mapping[str, float],
-    seed: int,
-    bootstrap: int,
 ) -> list[Path]:
     """Write all files, or none; returns their paths. rows: of all splits; known: strains that were certified
-    before, by the scene's hash; seed, bootstrap: of the intervals. Raises OSError."""
+    before, by the scene's hash. Raises OSError."""
     best = best_known(rows, known)
     splits = {s: [row for row in rows if row["split"] == s] for s in dict.fromkeys(r["split"] for r in rows)}
-    found = {split: summaries(of, best, seed, bootstrap) for split, of in splits.items()}
+    ranked: dict[str, Ranked] = {}
     charts: dict[str, tuple[str, bytes]] = {}
     for split, of in splits.items():
+        found = summaries(of, best, benchmark.seed, benchmark.bootstrap)
+        ranked[split] = Ranked(*heading(split, benchmark, of), found, troubles(of))
         charts[f"{NAME}-{split}-outcomes.png"] = (
             f"What becomes of each method's retractions on the split {split}, with 95 % intervals",
-            share_chart(found[split]),
+            share_chart(found),
         )
         charts[f"{NAME}-{split}-profiles.png"] = (
             f"How near each method comes to the least strain known, on the split {split}",
@@ -66,8 +84,8 @@ def write_report(
         charts[f"{NAME}-training.png"] = (title, curve_chart(curves))
     files = {
         f"{NAME}.csv": _csv(numbers(rows)).encode(),
-        f"{NAME}.md": _markdown(found, resolution, command, charts).encode(),
-        f"{NAME}.html": _page(found, resolution, command, charts).encode(),
+        f"{NAME}.md": _markdown(ranked, benchmark, command, charts).encode(),
+        f"{NAME}.html": _page(ranked, benchmark, command, charts).encode(),
         **{name: picture for name, (_, picture) in charts.items()},
     }
     with ExitStack() as all_or_none:
@@ -76,80 +94,56 @@ def write_report(
     return [folder / name for name in files]
 
 
-def table_of(summary: Sequence[Summary]) -> tuple[list[str], list[list[str]]]:
-    """Head and lines of the table; columns that say nothing are left out."""
-    columns = {
-        "method": [s.method + (f" ({s.runs} seeds)" if s.runs > 1 else "") for s in summary],
-        "scenes": [str(s.scenes) if s.scenes < _most(summary) else "" for s in summary],
-        "certified": [_interval(s.certified, percent=True) for s in summary],
-        "of ctc's": [_percent(s.of_reference) for s in summary],
-        "failures": [_failures(s) for s in summary],
-        "score": ["" if math.isnan(s.score.value) else _interval(s.score) for s in summary],
-        "excess": [_percent(s.excess) for s in summary],
-        "friction margin": [_percent(s.friction_margin) for s in summary],
-        "clearance, mm": [_number(s.clearance * 1e3, 2) for s in summary],
-        "FEM": [_number(s.evaluations, 0) for s in summary],
-        "time, s": [_number(s.seconds, 2) for s in summary],
-        "decision, ms": [_number(s.step_seconds * 1e3, 2) for s in summary],
-        "Bullet": [_percent(s.transfer) for s in summary],
-    }
-    kept = {name: cells for name, cells in columns.items() if any(cells)}
-    return list(kept), [list(line) for line in zip(*kept.values(), strict=True)]
-
-
-def in_text(summary: Sequence[Summary]) -> str:
-    """The table in Markdown."""
-    head, lines = table_of(summary)
-    rule = ["---"] * len(head)
-    return "\n".join("| " + " | ".join(cells) + " |" for cells in [head, rule, *lines])
-
-
-def _markdown(
-    found: Mapping[str, Sequence[Summary]],
-    resolution: str,
-    command: str,
-    charts: Mapping[str, tuple[str, bytes]],
-) -> str:
-    parts = ["# Benchmark", f"`{command}`", LEGEND.format(resolution=resolution)]
-    for split, summary in found.items():
-        parts += [f"## {split}: {_most(summary)} scenes", in_text(summary)]
+def _markdown(ranked: Mapping[str, Ranked], benchmark: Benchmark, command: str, charts: Charts) -> str:
+    parts = ["# Benchmark", f"`{command}`", legend(benchmark)]
+    for split, one in ranked.items():
+        parts += [f"## {one.title}", one.said, in_text(one.summary, RANKING)]
+        parts += ["More of the same:", in_text(one.summary, details(one.summary))]
+        if one.troubles:
+            parts += ["Answers that could not be judged:", "\n".join(f"* {line}" for line in one.troubles)]
         parts += [f"![{t}]({name})" for name, (t, _) in charts.items() if name.startswith(f"{NAME}-{split}-")]
     if (training := f"{NAME}-training.png") in charts:
         parts += ["## Training", f"![{charts[training][0]}]({training})"]
-    return "\n\n".join(parts) + "\n"
+    return "\n\n".join([*parts, "## Your own", YOUR_OWN]) + "\n"
 
 
-def _page(
-    found: Mapping[str, Sequence[Summary]],
-    resolution: str,
-    command: str,
-    charts: Mapping[str, tuple[str, bytes]],
-) -> str:
-    legend = html.escape(LEGEND.format(resolution=resolution)).split("**")
-    # every second piece stood between two stars
-    legend = [f"<b>{piece}</b>" if k % 2 else piece for k, piece in enumerate(legend)]
-    parts = ["<h1>Benchmark</h1>", f"<p><code>{html.escape(command)}</code></p>", f"<p>{''.join(legend)}</p>"]
-    for split, summary in found.items():
-        head, lines = table_of(summary)
-        parts.append(f"<h2>{html.escape(split)}: {_most(summary)} scenes</h2><table><tr>")
-        parts += [f"<th>{html.escape(cell)}</th>" for cell in head]
-        for line in lines:
-            parts += ["</tr><tr>", *(f"<td>{html.escape(cell)}</td>" for cell in line)]
-        parts.append("</tr></table>")
+def _page(ranked: Mapping[str, Ranked], benchmark: Benchmark, command: str, charts: Charts) -> str:
+    parts = ["<h1>Benchmark</h1>", f"<p><code>{html.escape(command)}</code></p>", _told(legend(benchmark))]
+    for one in ranked.values():
+        parts += [f"<h2>{html.escape(one.title)}</h2><p>{html.escape(one.said)}</p>"]
+        parts += [_table(one.summary, RANKING), "<p>More of the same:</p>"]
+        parts += [_table(one.summary, details(one.summary))]
+        if one.troubles:
+            lines = "".join(f"<li>{html.escape(line)}</li>" for line in one.troubles)
+            parts.append(f"<p>Answers that could not be judged:</p><ul>{lines}</ul>")
     for title, picture in charts.values():
         data = base64.b64encode(picture).decode()
         title = html.escape(title)
         parts.append(f"<h3>{title}</h3><img alt='{title}' src='data:image/png;base64,{data}'>")
-    style = (
-        "body{font:15px/1.5 sans-serif;max-width:75em;margin:2em auto;padding:0 1em;color:#22282e}"
-        "table{border-collapse:collapse}"
-        "td,th{padding:.3em .7em;border-bottom:1px solid #c9ced3;text-align:left}"
-        "img{max-width:100%}"
-    )
+    parts += ["<h2>Your own</h2>", _told(YOUR_OWN)]
     return (
         "<!doctype html><html lang='en'><meta charset='utf-8'><title>Benchmark</title>"
-        f"<style>{style}</style><body>{''.join(parts)}</body></html>\n"
+        f"<style>{STYLE}</style><body>{''.join(parts)}</body></html>\n"
     )
+
+
+def _table(summary: Sequence[Summary], names: Sequence[str]) -> str:
+    head, lines = table_of(summary, names)
+    rows = ["".join(f"<th>{html.escape(cell)}</th>" for cell in head)]
+    rows += ["".join(f"<td>{html.escape(cell)}</td>" for cell in line) for line in lines]
+    return f"<table><tr>{'</tr><tr>'.join(rows)}</tr></table>"
+
+
+def _told(text: str) -> str:
+    """Paragraphs of Markdown as far as the texts here use it: two stars, backticks, one listing of code."""
+    before, fence, rest = text.partition("```python\n")
+    code, _, after = rest.partition("```")
+    parts = []
+    for prose in (before, after):
+        marked = re.sub(r"\*\*(.+?)\*\*", r"<b>\1</b>", html.escape(prose), flags=re.DOTALL)
+        marked = re.sub(r"`(.+?)`", r"<code>\1</code>", marked)
+        parts.append("".join(f"<p>{p}</p>" for p in marked.split("\n\n") if p.strip()))
+    return f"<pre>{html.escape(code)}</pre>".join(parts) if fence else parts[0]
 
 
 def _csv(rows: Sequence[Row]) -> str:
@@ -158,32 +152,3 @@ def _csv(rows: Sequence[Row]) -> str:
     writer.writeheader()
     writer.writerows(rows)
     return text.getvalue()
-
-
-def _most(summary: Sequence[Summary]) -> int:
-    """Scenes of the split that was judged."""
-    return max(s.scenes for s in summary)
-
-
-def _failures(summary: Summary) -> str:
-    """Most frequent first."""
-    some = sorted((f for f in FAILURES if summary.failures[f] > 0), key=lambda f: -summary.failures[f])
-    return ", ".join(f"{f.replace('_', ' ')} {_percent(summary.failures[f])}" for f in some)
-
-
-def _interval(interval: Interval, percent: bool = False) -> str:
-    if percent:
-        return f"{_percent(interval.value)} ({100 * interval.low:.0f} to {100 * interval.high:.0f})"
-    return f"{interval.value:.2f} ({interval.low:.2f} to {interval.high:.2f})"
-
-
-def _percent(share: float) -> str:
-    """Whole per cent, but neither 0 nor 100 for what is nearly so."""
-    if math.isnan(share):
-        return ""
-    nearly = share not in (0, 1) and round(share, 2) in (0, 1)
-    return f"{100 * share:.{1 if nearly else 0}f} %"
-
-
-def _number(value: float, digits: int) -> str:
-    return "" if math.isnan(value) else f"{value:.{digits}f}"

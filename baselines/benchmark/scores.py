@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.benchmark.contest import REASONS
 from baselines.jobs.journal import Row
-from planners.certify import FAILURES
 
 Array = NDArray[np.float64]
 
@@ -30,6 +30,9 @@ class Interval:
     value: float
     low: float
     high: float
+
+
+UNKNOWN = Interval(np.nan, np.nan, np.nan)
 
 
 @dataclass(frozen=True)
@@ -47,8 +50,16 @@ class Summary:
     """share of each failure"""
     score: Interval
     """interquartile mean; nan where no best strain is known"""
-    excess: float
+    excess: Interval
     """median of strain over the best known one, less 1, where certified; nan where never, or none is known"""
+    survival: Interval
+    """mean share of draws that plans survive, none where not certified; nan where not asked"""
+    firm_excess: Interval
+    """as excess, of the strain with a grip of which nearly all draws survive, where there is one"""
+    firm: float
+    """share of scenes where there is one; nan where survival was not asked"""
+    closed_loop: Interval
+    """mean share of draws on which a policy that acts step by step succeeds, nan where not asked"""
     friction_margin: float
     """median part of the friction limit that is left, where certified"""
     clearance: float
@@ -62,23 +73,53 @@ class Summary:
     transfer: float
     """share of scenes where the policy succeeds on Bullet, nan where not asked"""
 
+    @property
+    def rank(self) -> tuple[float, float, float, str]:
+        """Tables are sorted by it: certified, then survival, then excess, then the name."""
+        nothing = np.nan_to_num(self.survival.value, nan=0.0)
+        excess = np.nan_to_num(self.excess.value, nan=np.inf)
+        return (-self.certified.value, -float(nothing), float(excess), self.method)
+
 
 def summaries(
     rows: Sequence[Row], best: Mapping[str, float] | None, seed: int, bootstrap: int
 ) -> list[Summary]:
-    """One for each method, most certified first, then by score. The rows are those of one split.
+    """One for each method, in the order of their ranks. The rows are those of one split.
 
     best: strain to compare with, by the scene's hash; None where there is none for some scene: then there
     are no scores. seed, bootstrap: of the intervals.
     """
     table = _tables(rows)
     reference = {row["number"] for row in rows if row["method"] == REFERENCE and row["certified"]}
-    certified = intervals({n: _values(t, _certified) for n, t in table.items()}, np.mean, seed, bootstrap)
-    middle = dict.fromkeys(table, Interval(np.nan, np.nan, np.nan))
+
+    def all_over(value: Callable[[Row], float], statistic: Callable[[Array], Any]) -> dict[str, Interval]:
+        """Of each method, over the rows for which there is a value; UNKNOWN where there is none."""
+        values = {name: _values(matrix, value) for name, matrix in table.items()}
+        return {name: _interval(v, statistic, seed, bootstrap) for name, v in values.items()}
+
+    certified = {n: _where_all_are_alike(i, table[n]) for n, i in all_over(_certified, np.mean).items()}
+    survival = all_over(lambda row: _number(row["survival"]), _mean_known)
+    closed_loop = all_over(lambda row: _number(row["closed_loop"]), _mean_known)
+    middle = excess = firm = dict.fromkeys(table, UNKNOWN)
     if best is not None:
         middle = intervals(scores_by_method(rows, best), interquartile_mean, seed, bootstrap)
-    found = [_summary(name, table[name], certified[name], middle[name], best, reference) for name in table]
-    return sorted(found, key=lambda s: (-s.certified.value, -s.score.value, s.method))
+        excess = all_over(lambda row: _excess(row, "max_strain", best), _median_known)
+        firm = all_over(lambda row: _excess(row, "firm_strain", best), _median_known)
+    found = [
+        _summary(
+            matrix,
+            reference,
+            method=name,
+            certified=certified[name],
+            score=middle[name],
+            excess=excess[name],
+            survival=survival[name],
+            firm_excess=firm[name],
+            closed_loop=closed_loop[name],
+        )
+        for name, matrix in table.items()
+    ]
+    return sorted(found, key=lambda s: s.rank)
 
 
 def best_known(rows: Sequence[Row], known: Mapping[str, float]) -> dict[str, float]:
@@ -143,18 +184,60 @@ def _certified(row: Row) -> float:
     return float(row["certified"])
 
 
-def _summary(
-    name: str,
-    matrix: list[list[Row]],
-    certified: Interval,
-    middle: Interval,
-    best: Mapping[str, float] | None,
-    reference: set[int],
-) -> Summary:
+def _interval(values: Array, statistic: Callable[[Array], Any], seed: int, bootstrap: int) -> Interval:
+    """Of (runs, scenes) values, nan where there is none."""
+    whole = statistic(values)
+    if np.isnan(whole):
+        return UNKNOWN
+
+    def of(sample: Array) -> Any:
+        found = statistic(sample)
+        return whole if np.isnan(found) else found  # a sample that has left out all that is known
+
+    return intervals({"": values}, of, seed, bootstrap)[""]
+
+
+def _where_all_are_alike(share: Interval, matrix: list[list[Row]]) -> Interval:
+    """A share of all scenes or of none, with Clopper and Pearson's interval for so many: samples of what is
+    all alike know of no other value."""
+    if 0 < share.value < 1:
+        return share
+    from scipy.stats import binomtest
+
+    scenes = len(matrix[0])
+    ends = binomtest(round(share.value * scenes), scenes).proportion_ci(0.95)
+    return Interval(share.value, float(ends.low), float(ends.high))
+
+
+def _number(value: float | None) -> float:
+    return np.nan if value is None else float(value)
+
+
+def _excess(row: Row, strain: str, best: Mapping[str, float]) -> float:
+    """A strain over the best one known, less 1; nan where not certified, or there is none."""
+    if not row["certified"] or row[strain] is None:
+        return np.nan
+    return float(row[strain]) / best[row["scene_hash"]] - 1
+
+
+def _mean_known(values: Array) -> float:
+    """Mean of what is known; nan where nothing is, as in a sample that left it out."""
+    known = values[~np.isnan(values)]
+    return float(np.mean(known)) if len(known) else np.nan
+
+
+def _median_known(values: Array) -> float:
+    """Likewise the median."""
+    known = values[~np.isnan(values)]
+    return float(np.median(known)) if len(known) else np.nan
+
+
+def _summary(matrix: list[list[Row]], reference: set[int], **found: Any) -> Summary:
     rows = [row for run in matrix for row in run]
     good = [row for row in rows if row["certified"]]
     asked = [row for row in rows if row["number"] in reference]
     played = [row for row in rows if row["transfer"] is not None]
+    drawn = [row for row in rows if row["survival"] is not None]
     decisions = sum(row["decisions"] for row in rows)
     spent = sum(row["timing"]["decision_seconds"] for row in rows)
 
@@ -165,18 +248,16 @@ def _summary(
         return len(some) / len(of) if of else np.nan
 
     return Summary(
-        method=name,
         runs=len(matrix),
         scenes=len(matrix[0]),
-        certified=certified,
         of_reference=share([row for row in asked if row["certified"]], asked),
-        failures={f: share([row for row in rows if row["reason"] == f], rows) for f in FAILURES},
-        score=middle,
-        excess=np.nan if best is None else median([1 / score(row, best) - 1 for row in good]),
+        failures={f: share([row for row in rows if row["reason"] == f], rows) for f in REASONS},
+        firm=share([row for row in drawn if row["firm_strain"] is not None], drawn),
         friction_margin=median([1 - row["required_friction"] / row["friction_limit"] for row in good]),
         clearance=median([row["clearance"] for row in good]),
         evaluations=float(np.mean([row["evaluations"] for row in rows])),
-        seconds=median([row["timing"]["seconds"] for row in rows]),
+        seconds=median([s for row in rows if (s := row["timing"]["seconds"]) is not None]),
         step_seconds=spent / decisions if decisions else np.nan,
         transfer=share([row for row in played if row["transfer"] == "ok"], played),
+        **found,
     )

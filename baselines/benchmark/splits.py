@@ -10,7 +10,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import Field
 
-from retract_env.config import Frozen, Listed, config_file, one_of, read_yaml, whole
+from retract_env.config import Frozen, Range, config_file, one_of, read_yaml, whole
 from retract_env.errors import ConfigError
 from retract_env.physics.registry import PHYSICS
 from retract_env.scene import Scene, sample_scene
@@ -30,6 +30,8 @@ class _Part(Frozen):
 class Split(_Part):
     """Scenes number 0 ... count - 1, each from the seeds [seed, number]."""
 
+    version: Annotated[int, whole(1, 1000)]
+    """Told with every result, as is the hash. Other scenes under the same name are another version."""
     seed: Annotated[int, whole(2, 2**31)]
     """Not 1: demonstrations begin with that."""
     count: Annotated[int, whole(1, 100_000)]
@@ -37,8 +39,6 @@ class Split(_Part):
     """Where scenes are drawn from; what is left out is its default."""
     hash: Annotated[str, Field(pattern="^[0-9a-f]{16}$")]
     """Of all scenes, so that a change of them is noticed."""
-    slow: Annotated[int, whole(0, 100_000)] = 0
-    """Scenes that slow planners are judged on too."""
 
     def scenes(self, most: int | None = None) -> list[Scene]:
         """The first `most` scenes, or all, then held to the hash. Raises BenchmarkError."""
@@ -50,6 +50,17 @@ class Split(_Part):
                 "were measured on"
             )
         return scenes
+
+
+class Survival(_Part):
+    """On what plans are judged that may turn out not quite as the scene says."""
+
+    draws: Annotated[int, whole(1, 100_000)]
+    """of the scene's uncertainty, for each plan"""
+    seed: Annotated[int, whole(0, 2**31)]
+    """of the draws, with the scene's number added; none that a planner draws with"""
+    judged: Annotated[int, whole(0, 1000)]
+    """draws that finite elements judge, at most, where the rod cannot decide; beyond, its word is taken"""
 
 
 class Benchmark(_Part):
@@ -68,10 +79,15 @@ class Benchmark(_Part):
     """Of the random policy, and of the bootstrap."""
     bootstrap: Annotated[int, whole(10, 10**6)]
     """Resamples behind an interval."""
-    planners: Annotated[tuple[str, ...], Listed]
-    """Judged on every scene."""
-    slow_planners: Annotated[tuple[str, ...], Listed] = ()
-    """Judged on the first `slow` scenes of a split only."""
+    limit: Annotated[float, Range(1.0, 86_400.0, "s")]
+    """s that a method has for a scene."""
+    survival: Survival
+    played: Annotated[int, whole(0, 1000)]
+    """Of these draws, so many that a policy is played on; 0: on none."""
+
+    def limited_to(self, seconds: float) -> Benchmark:
+        """The same with another limit, s. Raises BenchmarkError."""
+        return self.from_data(self.model_dump(mode="json") | {"limit": seconds})
 
     def played_in(self, physics: str) -> Benchmark:
         """The same with policies that move in another physics, as it comes. Raises BenchmarkError."""

@@ -2,33 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
+from difflib import get_close_matches
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from baselines.benchmark.methods import UNTRAINED, Method
+from baselines.benchmark.contest import ACT
+from baselines.benchmark.methods import COMPETING, NEEDS, UNTRAINED, Method, work_item
 from baselines.benchmark.splits import Benchmark, BenchmarkError
 from baselines.jobs.journal import Row
 from baselines.jobs.version import code_version
 from baselines.learning.policies import JSON
 
-TRANSFERRED = ("policy",)
-"""Kinds of methods that are played on the other physics too."""
+ALL = "all"
+"""In the place of a method's name: every one that there is."""
 
 
-def methods_of(benchmark: Benchmark, policies: Path | None) -> list[Method]:
-    """All planners of the benchmark, every policy under a folder, and what plays without having learned.
+def methods_of(policies: Path | None) -> list[Method]:
+    """All planners, every policy under a folder, and what plays without having learned.
 
     Raises BenchmarkError, and PolicyError for a folder that holds no sound policy.
     """
-    from planners import PLANNERS
-
-    names = (*benchmark.planners, *benchmark.slow_planners)
-    for name in names:
-        if name not in PLANNERS:
-            raise BenchmarkError(f"planners: {name!r}, allowed {', '.join(PLANNERS)}")
-    found = [Method("planner", name) for name in names]
+    found = [Method("planner", name) for name in COMPETING]
     if policies is not None:
         folders = sorted(file.parent for file in policies.rglob(JSON))
         if not folders:
@@ -46,12 +43,30 @@ def methods_of(benchmark: Benchmark, policies: Path | None) -> list[Method]:
 
 
 def chosen(methods: Sequence[Method], names: Sequence[str] | None) -> list[Method]:
-    """The methods of these names, or all. Raises BenchmarkError for a name that none has."""
+    """The methods of these names, or all of them where no name is given; "module:function" is one that is
+    not among them. Raises BenchmarkError for a name that none has."""
     known = list(dict.fromkeys(method.name for method in methods))
-    for name in names or ():
-        if name not in known:
-            raise BenchmarkError(f"method = {name!r}, allowed {', '.join(known)}")
-    return [method for method in methods if not names or method.name in names]
+    names = names or [ALL]
+    external = [Method.external(name) for name in dict.fromkeys(names) if ":" in name]
+    for name in names:
+        if name not in (*known, ALL) and ":" not in name:
+            close = get_close_matches(name, known, 1)
+            hint = f"; did you mean {close[0]!r}?" if close else ""
+            raise BenchmarkError(
+                f"method = {name!r}, allowed {', '.join(known)}, {ALL}, or module:function{hint}"
+            )
+    return [*(method for method in methods if ALL in names or method.name in names), *external]
+
+
+def check_installed(methods: Iterable[Method]) -> None:
+    """Raise BenchmarkError for a planner that needs what is not installed: before hours of work."""
+    for method in methods:
+        module = NEEDS.get(method.name) if method.kind == "planner" else None
+        if module is not None and find_spec(module) is None:
+            raise BenchmarkError(
+                f"method = {method.name!r} needs {module}: pip install 'retract[optimize]', or name the "
+                "methods that are to compete with --method"
+            )
 
 
 def tasks_of(
@@ -60,12 +75,14 @@ def tasks_of(
     splits: Sequence[str],
     most: int | None = None,
     transfer: bool = False,
+    survival: bool = True,
 ) -> list[dict[str, Any]]:
-    """One task for each method and scene that it is judged on, for `methods.compete`.
+    """One task for each method and scene, for `contest.compete`: one scene after the other, each with all
+    methods, so that a run that is stopped has compared them on the first ones.
 
     splits: names, each alone or with how many of its scenes, as in "shifted:20"; most: scenes of each of the
-    others; transfer: whether policies are played on Bullet too. Raises BenchmarkError for an unknown split,
-    or one whose scenes have changed.
+    others; transfer: whether policies are played on Bullet too; survival: whether draws of what is not known
+    are judged. Raises BenchmarkError for an unknown split, or one whose scenes have changed.
     """
     tasks = []
     for asked in splits:
@@ -73,25 +90,29 @@ def tasks_of(
         if name not in benchmark.splits or (colon and not (count.isdecimal() and int(count) > 0)):
             allowed = ", ".join(benchmark.splits)
             raise BenchmarkError(f"split = {asked!r}, allowed {allowed}, each with :COUNT or without")
-        for number, scene in enumerate(benchmark.splits[name].scenes(int(count) if colon else most)):
-            for method in methods:
-                if method.name in benchmark.slow_planners and number >= benchmark.splits[name].slow:
-                    continue
-                tasks.append(
-                    {
-                        "method": asdict(method),
-                        "split": name,
-                        "number": number,
-                        "scene": scene.dump(),
-                        "resolution": benchmark.resolution,
-                        "policy_physics": benchmark.policy_physics,
-                        "policy_resolution": benchmark.policy_resolution,
-                        "lead_out": benchmark.lead_out,
-                        "seed": benchmark.seed,
-                        "transfer": transfer and method.kind in TRANSFERRED,
-                        "code": code_version(),
-                    }
+        split = benchmark.splits[name]
+        for number, scene in enumerate(split.scenes(int(count) if colon else most)):
+            tasks += [
+                work_item(
+                    method=asdict(method),
+                    split=name,
+                    split_version=split.version,
+                    split_hash=split.hash,
+                    number=number,
+                    scene=scene.dump(),
+                    resolution=benchmark.resolution,
+                    policy_physics=benchmark.policy_physics,
+                    policy_resolution=benchmark.policy_resolution,
+                    lead_out=benchmark.lead_out,
+                    seed=benchmark.seed,
+                    limit=benchmark.limit,
+                    survival=benchmark.survival.model_dump() if survival else None,
+                    played=benchmark.played if survival and method.kind in ACT else 0,
+                    transfer=transfer and method.kind in ACT,
+                    code=code_version(),
                 )
+                for method in methods
+            ]
     return tasks
 
 

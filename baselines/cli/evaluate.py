@@ -38,9 +38,10 @@ def evaluate_command(
 ) -> None:
     """Certify what a trained policy does on frozen scenes, beside the best retractions known there."""
     with exit_codes(), expected():
-        from baselines.benchmark.methods import Method, compete
+        from baselines.benchmark.contest import compete
+        from baselines.benchmark.methods import Method
+        from baselines.benchmark.ranking import in_text
         from baselines.benchmark.references import load_references
-        from baselines.benchmark.report import in_text
         from baselines.benchmark.scores import summaries
         from baselines.benchmark.splits import load_benchmark
         from baselines.benchmark.tasks import tasks_of
@@ -49,7 +50,7 @@ def evaluate_command(
         if physics is not None:
             about = about.played_in(physics)
         check_physics(about.policy_physics, about.policy_resolution)
-        tasks = tasks_of(about, [Method.trained(policy)], [split], scenes, transfer)
+        tasks = tasks_of(about, [Method.trained(policy)], [split], scenes, transfer, survival=False)
         announce_compilation("fem", about.policy_physics)
         rows = run_with_bar(tasks, compete, None, jobs, None, split)
         known = load_references(about.resolution)

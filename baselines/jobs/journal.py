@@ -10,9 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import multiprocessing
-import multiprocessing.connection
 import os
-import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -20,6 +18,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from baselines.jobs.apart import end_with_parent
 from retract_env.errors import ConfigError
 from retract_env.threads import single_threaded
 
@@ -129,23 +128,11 @@ def _in_processes(tasks: Mapping[str, WorkItem], work: Work, jobs: int) -> Itera
 def _pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
     """Workers that end with the block, however it ends."""
     spawn = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(jobs, mp_context=spawn, initializer=_end_with_parent)
+    pool = ProcessPoolExecutor(jobs, mp_context=spawn, initializer=end_with_parent)
     try:
         yield pool
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
-
-
-def _end_with_parent() -> None:
-    """A worker whose parent was killed would wait for tasks for ever."""
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-
-    def watch() -> None:
-        multiprocessing.connection.wait([parent.sentinel])
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
 
 
 def _on_ray(tasks: Mapping[str, WorkItem], work: Work, _: int) -> Iterator[tuple[str, Row]]:

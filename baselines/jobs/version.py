@@ -9,23 +9,35 @@ from pathlib import Path
 import retract_env
 
 PACKAGES = ("retract_env", "planners", "baselines")
-NO_RESULTS = ("retract_env/drawing/", "baselines/pictures/", "baselines/cli/")
-"""Folders of what draws and talks: no number depends on them."""
+NO_RESULTS = (
+    "retract_env/drawing/",
+    "baselines/pictures/",
+    "baselines/cli/",
+    "baselines/benchmark/charts.py",
+    "baselines/benchmark/ranking.py",
+    "baselines/benchmark/report.py",
+    "baselines/benchmark/scores.py",
+    "baselines/benchmark/references",
+    "baselines/learning/trained/",
+)
+"""What draws, talks and compares: no number that is kept depends on it. A policy has a hash of its own."""
+DATA = (".py", ".json")
+"""Endings of what numbers depend on: sources, and what was measured once and ships with them."""
 
 
 @cache
 def code_version() -> str:
-    """The version, and a digest of all sources that results come from."""
+    """The version, and a digest of all sources and measured data that results come from."""
     return f"{retract_env.__version__}+{digest_of(Path(retract_env.__file__).parents[1])[:12]}"
 
 
 def digest_of(root: Path) -> str:
-    """SHA-256, hex, of the names and contents of those sources, in packages that lie in the folder `root`."""
+    """SHA-256, hex, of the names and contents of those files, in packages that lie in the folder `root`."""
     digest = hashlib.sha256()
     for package in PACKAGES:
-        for source in sorted((root / package).rglob("*.py")):
+        for source in sorted((root / package).rglob("*")):
             name = source.relative_to(root).as_posix()
-            if not name.startswith(NO_RESULTS):
+            if source.suffix in DATA and not name.startswith(NO_RESULTS):
                 digest.update(f"{name}\0".encode())
                 digest.update(source.read_bytes())
     return digest.hexdigest()

@@ -19,6 +19,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from baselines.benchmark.methods import NEEDS
 from baselines.jobs.journal import Journal, Row, key_of
 from baselines.jobs.version import code_version
 from baselines.paper.experiments import Experiment, evaluate
@@ -32,9 +33,6 @@ from baselines.paper.studies.robustness import (
 )
 from baselines.paper.study import write
 from retract_env.threads import cores, single_threaded
-
-NEEDS = {"elastica": "casadi"}
-"""Methods that need a module which may be missing."""
 
 
 def _on_one_core(free: Any) -> None:

@@ -5,45 +5,27 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable
-from functools import partial
 from typing import Any
 
-import numpy as np
-
+from baselines.benchmark.methods import COMPETING
+from baselines.benchmark.survival import MOST, ON, lightest_part, share_by_rod
 from baselines.jobs.journal import Row
 from baselines.paper.experiments import measured
 from planners import PLANNERS
-from planners.base import NoPlan, Plan
+from planners.base import NoPlan
 from planners.certify import Certificate, Robust, certify, stated
-from planners.certify.robust import corrected_by, followed, levels, outcome
+from planners.certify.robust import outcome
 from planners.paths import PATHS
-from planners.swift.planner import plan_swift
-from planners.whatif import Flaps
 from retract_env.errors import MeshError
 from retract_env.grasp import Grasp, JawPath
 from retract_env.scenarios import draws
 from retract_env.scene import UNKNOWNS, Scene, Uncertainty
 
-ON = "coarse"
-"""Finite elements that draws are judged on, and that correct the rod on a ladder."""
 BY_ROD, ROD_SEED = 1000, 52_000_001
 """Draws that the rod judges, and their seed; not those of the robust statement, of planners or of the finite
 elements."""
-ENOUGH = 0.99
-"""Survival at which grips are compared, by the rod."""
 PARTS = (1.6, 1.25, 1.0, 0.8, 0.63, 0.5, 0.4, 0.3, 0.2)
 """Rungs of a ladder: parts of the compression by Eq. 5."""
-MOST = 0.45
-"""Compression over the height, at most; that of `planners.swift`."""
-HALVINGS = 3
-"""of the step between the lightest rung that survives and the next"""
-
-GRIPS: dict[str, Callable[..., Plan]] = {
-    **PLANNERS,
-    "swift_force": partial(plan_swift, grip="force"),
-}
-"""Planners by name, and `swift` with the other grip."""
 
 
 def scaled(prior: Uncertainty, by: float) -> Uncertainty:
@@ -73,7 +55,7 @@ def planned(
     flap = Scene.from_data(scene)
     asked = flap.model_copy(update={"uncertainty": scaled(flap.uncertainty, prior)})
     try:
-        plan = GRIPS[planner](asked, resolution=resolution, workers=1, on_update=None)
+        plan = COMPETING[planner](asked, resolution=resolution, workers=1, on_update=None)
     except NoPlan:
         return without_plan()
     return judged(flap, plan.grasp, plan.path, plan.certificate, count, seed, hopeless)
@@ -91,22 +73,15 @@ def lightest(resolution: str, scene: Any, path: str, count: int, seed: int, hope
             return without_plan() | {"part": None, "ladder": []}
         grasp = min(known, key=lambda c: c.required_friction).grasp
     allowed = [part for part in PARTS if part * grasp.compression <= MOST * flap.tissue.height]
-    ladder = [rung(flap, grasp, path, part) for part in allowed]
-    surviving = [r["survival"] >= ENOUGH for r in ladder]
-    first = next((k for k, holds in enumerate(surviving) if holds), None)
-    if first is None:
+    ladder: list[Row] = []
+
+    def survival_of(part: float) -> float:
+        ladder.append(rung(flap, grasp, path, part))
+        return float(ladder[-1]["survival"])
+
+    part = lightest_part(survival_of, allowed)
+    if part is None:
         part = max(ladder, key=lambda r: r["survival"])["part"]
-    else:
-        last = next((k for k in range(first, len(ladder)) if not surviving[k]), len(ladder)) - 1
-        part = ladder[last]["part"]
-        too_light = ladder[last + 1]["part"] if last + 1 < len(ladder) else None
-        for _ in range(HALVINGS if too_light else 0):
-            between = rung(flap, grasp, path, math.sqrt(part * too_light))
-            ladder.append(between)
-            if between["survival"] >= ENOUGH:
-                part = between["part"]
-            else:
-                too_light = between["part"]
     grip = Grasp(grasp.x, part * grasp.compression)
     way = PATHS[path](flap, grip)
     row = judged(flap, grip, way, certify(flap, grip, way, resolution), count, seed, hopeless)
@@ -128,12 +103,7 @@ def rung(scene: Scene, grasp: Grasp, path: str, part: float) -> Row:
 
 def survival(scene: Scene, grasp: Grasp, path: JawPath, certificate: Certificate) -> float:
     """The part of BY_ROD draws that a plan survives, by the rod that the certificate's mesh corrects."""
-    corrected = corrected_by(scene, grasp, path, certificate.history)
-    if corrected is None:
-        return 0.0
-    flaps = Flaps(scene, draws(BY_ROD, ROD_SEED), grasp.force or math.nan)
-    reasons = levels(followed(scene, grasp, path, flaps, corrected))[1]
-    return float(np.mean(reasons == "ok"))
+    return share_by_rod(scene, grasp, path, certificate.history, draws(BY_ROD, ROD_SEED))
 
 
 def judged(

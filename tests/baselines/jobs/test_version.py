@@ -9,15 +9,18 @@ from pathlib import Path
 
 import pytest
 
-from baselines.jobs.version import NO_RESULTS, PACKAGES, code_version, digest_of
+from baselines.jobs.version import DATA, NO_RESULTS, PACKAGES, code_version, digest_of
 
 ROOT = Path(__file__).resolve().parents[3]
 COMPUTES = (
+    "baselines/benchmark/attempts.py",
+    "baselines/benchmark/contest.py",
     "baselines/benchmark/methods.py",
     "baselines/benchmark/splits.py",
     "baselines/learning/policies.py",
     "baselines/learning/demos.py",
     "baselines/paper/reproduce.py",
+    "planners/certify/scenarios.json",
     "planners/certify/trial.py",
     "retract_env/fem/kernels.py",
 )
@@ -25,10 +28,10 @@ COMPUTES = (
 
 @pytest.fixture(scope="module")
 def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The sources alone, as an installation has them."""
+    """The sources and data alone, as an installation has them."""
     root = tmp_path_factory.mktemp("installed")
     for package in PACKAGES:
-        for source in (ROOT / package).rglob("*.py"):
+        for source in (f for f in (ROOT / package).rglob("*") if f.suffix in DATA):
             there = root / source.relative_to(ROOT)
             there.parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(source, there)
@@ -37,15 +40,18 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def sources(root: Path) -> list[str]:
     return [
-        file.relative_to(root).as_posix() for package in PACKAGES for file in (root / package).rglob("*.py")
+        file.relative_to(root).as_posix()
+        for package in PACKAGES
+        for file in (root / package).rglob("*")
+        if file.suffix in DATA
     ]
 
 
 def changed(root: Path, name: str) -> str:
-    """The digest where one source has another line."""
+    """The digest where one file has another line."""
     file = root / name
     before = file.read_bytes()
-    file.write_bytes(before + b"# another line\n")
+    file.write_bytes(before + b"\n")
     try:
         return digest_of(root)
     finally:
@@ -63,7 +69,7 @@ def test_a_change_of_what_computes_is_another_version(copy: Path) -> None:
 def test_a_change_of_what_draws_and_talks_is_none(copy: Path) -> None:
     before = digest_of(copy)
     quiet = [name for name in sources(copy) if name.startswith(NO_RESULTS)]
-    assert {name.split("/")[1] for name in quiet} == {"drawing", "pictures", "cli"}
+    assert {name.split("/")[1] for name in quiet} == {"drawing", "pictures", "cli", "benchmark", "learning"}
     assert all(changed(copy, name) == before for name in quiet)
 
 

@@ -1,0 +1,187 @@
+"""What a method does on one scene: it hands in a grasp and a path, and what acts step by step plays.
+
+Every function here takes a task and answers with plain data, so that it works in any process. A policy is
+played in the environment on the benchmark's physics, and what its jaws did is what it hands in.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+import retract_env  # noqa: F401  (registers the environments)
+from baselines.benchmark.external import Nonsense, called, checked, understood
+from baselines.benchmark.methods import COMPETING, UNTRAINED, Method
+from baselines.jobs.journal import Row, WorkItem
+from baselines.learning.policies import load_policy
+from planners.base import PROMISING, NoPlan
+from retract_env.grasp import Grasp, JawPath
+from retract_env.physics.registry import PHYSICS
+from retract_env.rollout import Decide, Rollout, rollout
+from retract_env.scenarios import draws
+from retract_env.scene import Scene
+
+BULLET = PHYSICS["bullet"].env_id
+
+
+@dataclass
+class HandedIn:
+    """What a method hands in, and what it spent on it."""
+
+    grasp: Grasp | None = None
+    path: JawPath | None = None
+    reason: str = ""
+    """why there is nothing to judge"""
+    detail: str = ""
+    """what is wrong with it, where a reason does not say it all"""
+    evaluations: int = 0
+    """equilibria that were computed"""
+    seconds: float = 0.0
+    decisions: int = 0
+    """actions of a policy"""
+    decision_seconds: float = 0.0
+
+    def to_json(self) -> Row:
+        """Plain data."""
+        grasp = None if self.grasp is None else {"x": self.grasp.x, **self.grasp.firmness}
+        return self.__dict__ | {"grasp": grasp, "path": None if self.path is None else self.path.to_json()}
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> HandedIn:
+        """The inverse."""
+        grasp = None if data["grasp"] is None else Grasp(**data["grasp"])
+        path = None if data["path"] is None else JawPath.from_json(data["path"])
+        return cls(**{**data, "grasp": grasp, "path": path})
+
+
+@dataclass
+class _Timed:
+    """A policy and the time that it takes."""
+
+    policy: Decide
+    seconds: float = 0.0
+    calls: int = field(default=0)
+
+    def __call__(self, observation: NDArray[Any]) -> NDArray[Any]:
+        start = time.perf_counter()
+        action = self.policy(observation)
+        self.seconds += time.perf_counter() - start
+        self.calls += 1
+        return action
+
+
+def hand_in(task: WorkItem) -> Row:
+    """What a method hands in for a scene, a `HandedIn` as plain data."""
+    method, scene = Method(**task["method"]), Scene.from_data(task["scene"])
+    start = time.perf_counter()
+    try:
+        if method.kind == "planner":
+            handed = _planned(method, scene, task)
+        elif method.kind == "external":
+            handed = _from_elsewhere(method, scene, task)
+        else:
+            handed = _played(acting(method, task), scene, task)
+    except NoPlan as none:
+        reasons = Counter(str(c.reason) for c in none.candidates if c.reason not in ("pruned", PROMISING))
+        commonest = min(reasons, key=lambda r: (-reasons[r], r)) if reasons else "not_visible"
+        handed = HandedIn(reason=commonest, evaluations=sum(c.increments for c in none.candidates))
+    except Nonsense as problem:
+        handed = HandedIn(reason="returned", detail=str(problem))
+    handed.seconds = time.perf_counter() - start
+    return handed.to_json()
+
+
+def _planned(method: Method, scene: Scene, task: WorkItem) -> HandedIn:
+    """A planner's plan. Raises NoPlan."""
+    best = COMPETING[method.name](scene, resolution=task["resolution"], workers=1, on_update=None)
+    return HandedIn(best.grasp, best.path, evaluations=sum(c.increments for c in best.candidates))
+
+
+def _from_elsewhere(method: Method, scene: Scene, task: WorkItem) -> HandedIn:
+    """A plan, or a policy that is played. Raises Nonsense, and whatever the method raises."""
+    found = understood(called(method.name, method.folder, scene))
+    return HandedIn(*found) if isinstance(found, tuple) else _played(_sane(found), scene, task)
+
+
+def _sane(policy: Any) -> Decide:
+    """A policy whose actions are looked at before the environment is given them."""
+    return lambda observation: checked(policy(observation))
+
+
+def acting(method: Method, task: WorkItem) -> Decide | None:
+    """Who plays, new for each episode; None for a method that hands in a plan. Raises PolicyError."""
+    if method.kind == "policy":
+        return load_policy(method.folder)
+    if method.kind == "external":
+        found = understood(called(method.name, method.folder, Scene.from_data(task["scene"])))
+        return None if isinstance(found, tuple) else _sane(found)
+    return UNTRAINED[method.kind](task)
+
+
+def _played(policy: Decide | None, scene: Scene, task: WorkItem) -> HandedIn:
+    """What the jaws did, and a few moves more like the last where the environment, on a coarser mesh, saw the
+    target: the certifier stops at visibility."""
+    assert policy is not None
+    timed = _Timed(policy)
+    name = PHYSICS[task["policy_physics"]].env_id
+    env: Any = gym.make(name, resolution=task["policy_resolution"], disable_env_checker=True).unwrapped
+    try:
+        played = rollout(env, timed, seed=0, options={"scene": scene.dump(), "grasp": "agent"})
+        grasp, path = env.episode.grasp, env.episode.path
+    finally:
+        env.close()
+    if path is not None and played.success and len(path) > 2:
+        path = led_out(path, task["lead_out"])
+    handed = HandedIn(grasp, path, "" if path is not None else "diverged", evaluations=len(played))
+    handed.decisions, handed.decision_seconds = timed.calls, timed.seconds
+    return handed
+
+
+def led_out(path: JawPath, moves: int) -> JawPath:
+    """The path with its last move made so many times more."""
+    poses = path.poses
+    more = poses[-1] + np.arange(1, moves + 1)[:, None] * (poses[-1] - poses[-2])
+    return JawPath.from_poses(np.concatenate([poses, more]), path.kind)
+
+
+def transferred(task: WorkItem) -> Row:
+    """What became of a policy on PyBullet: "ok", a failure, or "not_visible"; None for what is no policy."""
+    policy = acting(Method(**task["method"]), task)
+    if policy is None:
+        return {"transfer": None}
+    env = gym.make(BULLET, disable_env_checker=True)
+    try:
+        played = rollout(env, policy, seed=0, options={"scene": task["scene"]})
+    finally:
+        env.close()
+    return {"transfer": _end_of(played)}
+
+
+def played_on_draws(task: WorkItem) -> Row:
+    """In how many of the first draws of what is not known a policy that acts step by step succeeds, on the
+    benchmark's physics; None for what is no policy. It is not told the draw."""
+    method, name = Method(**task["method"]), PHYSICS[task["policy_physics"]].env_id
+    ends: list[str] = []
+    env: Any = gym.make(
+        name, resolution=task["policy_resolution"], unknowns=True, disable_env_checker=True
+    ).unwrapped
+    try:
+        for z in draws(task["played"], task["survival"]["seed"] + task["number"]):
+            if (policy := acting(method, task)) is None:
+                return {"closed_loop": None}
+            options = {"scene": task["scene"], "grasp": "agent", "unknowns": z}
+            ends.append(_end_of(rollout(env, policy, seed=0, options=options)))
+    finally:
+        env.close()
+    return {"closed_loop": ends.count("ok") / len(ends)}
+
+
+def _end_of(played: Rollout) -> str:
+    return "ok" if played.success else str(played.infos[-1]["failure"] or "not_visible")
