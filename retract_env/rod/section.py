@@ -52,19 +52,21 @@ def section_of(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def reactions_on(block, lane, jaws, out):
-    """Forces of the tissue on the lower and on the upper jaw of a lane, whose jaws are (4,) m, into out
-    (2, 2) N."""
-    flap, felt = block.flap[lane], block.measured[lane]
+def reactions_on(flap, felt, jaws):
+    """Forces of the tissue on the lower and on the upper jaw, x, y, x, y, N. flap: (NUMBERS,); felt:
+    (MEASURED,); jaws: (4,) m."""
     ax, ay = jaws[2] - jaws[0], jaws[3] - jaws[1]
     long = math.sqrt(ax * ax + ay * ay)
     ax, ay = ax / long, ay / long
     unit = flap[MODULUS] * flap[HEIGHT] * flap[DEPTH]
-    for jaw in range(2):
-        press = unit * (felt[NORMAL_1] if jaw == 0 else -felt[NORMAL_2])
-        drag = unit * (felt[DRAG_1] if jaw == 0 else felt[DRAG_2])
-        out[jaw, 0] = -(press * ax + drag * ay)
-        out[jaw, 1] = -(press * ay - drag * ax)
+    press_1, drag_1 = unit * felt[NORMAL_1], unit * felt[DRAG_1]
+    press_2, drag_2 = unit * -felt[NORMAL_2], unit * felt[DRAG_2]
+    return (
+        -(press_1 * ax + drag_1 * ay),
+        -(press_1 * ay - drag_1 * ax),
+        -(press_2 * ax + drag_2 * ay),
+        -(press_2 * ay - drag_2 * ax),
+    )
 
 
 @njit(cache=True, error_model="numpy")
@@ -77,7 +79,9 @@ def _fill(block, lane, columns, jaw_x, points, strain, jaws, reactions, spot):
             points[ROWS * column, k], points[ROWS * column + 2, k] = low, high
             points[ROWS * column + 1, k] = (low + high) / 2
     jaws_in(block, lane, jaws)
-    reactions_on(block, lane, jaws, reactions)
+    on = reactions_on(block.flap[lane], block.measured[lane], jaws)
+    for jaw in range(2):
+        reactions[jaw, 0], reactions[jaw, 1] = on[2 * jaw], on[2 * jaw + 1]
     compression = block.grip[lane, COMPRESSION]
     worst = squeeze(block.grip[lane], compression)[1]
     spot[0], spot[1] = jaw_x, 0.0

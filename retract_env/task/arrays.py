@@ -44,8 +44,6 @@ class Rules(NamedTuple):
     """(SIZE,) what is observed as 0"""
     ranges: Array
     """(10, 2) of random flaps"""
-    poisson: float
-    """of random flaps"""
     laws: Array
     held: Array
     """of the rod's grip"""

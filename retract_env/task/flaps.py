@@ -20,7 +20,7 @@ from retract_env.scenarios import prior_numbers, stated_numbers
 from retract_env.scene import UNKNOWNS, Scene, sample_scene
 from retract_env.scene import flaps as drawn
 from retract_env.scene.pcg64 import WORDS, give_back, state_of
-from retract_env.scene.sampling import POISSON, SceneRanges
+from retract_env.scene.sampling import SceneRanges
 from retract_env.spring.columns import veins_of
 from retract_env.task.arrays import INFO, Lanes, Rules, Told
 from retract_env.task.config import TaskConfig
@@ -67,7 +67,6 @@ class Flaps:
             noise,
             hidden,
             drawn.table(ranges),
-            POISSON,
             *laws(),
             unknown,
         )

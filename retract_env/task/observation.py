@@ -137,9 +137,9 @@ class Observer:
         points = np.empty(4 * KEYPOINTS)
         for nodes, part in ((lower, points[: 2 * KEYPOINTS]), (upper, points[2 * KEYPOINTS :])):
             rules.keypoints(section.points[nodes, 0], state.points[nodes], tissue.length, part)
-        out, forces = np.empty(SIZE, np.float32), np.zeros(FORCES)
+        out, forces = np.empty(SIZE, np.float32), (0.0,) * FORCES
         if now.holding:
-            rules.sensed(state.reactions, state.jaws, self._unit, forces)
+            forces = rules.sensed(tuple(state.reactions.ravel().tolist()), state.jaws, self._unit)
         rules.observe(
             now.holding,
             1 - now.steps / self._steps,

@@ -102,9 +102,9 @@ def observe(
 
     jaws: (4,) m, where they are; length, height: m, of the flap as it is stated; points: (4 KEYPOINTS,) m,
     keypoints of the lower, then of the upper surface; sight: (3,) target, slope, nearness; k_eq:
-    (STIFFNESS_SAMPLES,), modulus / height; limits: (3,); forces: (FORCES,) E w d; off: (3,) m, by how much
-    the jaws are off in x and in y from where they were sent to, and have closed further: what is observed is
-    where they were sent to; low, high: bounds (SIZE,) float32.
+    (STIFFNESS_SAMPLES,), modulus / height; limits: (3,); forces: FORCES numbers, E w d; off: (3,) m, by how
+    much the jaws are off in x and in y from where they were sent to, and have closed further: what is
+    observed is where they were sent to; low, high: bounds (SIZE,) float32.
     """
     dx, dy = jaws[2] - jaws[0], jaws[3] - jaws[1]
     separation = math.sqrt(dx * dx + dy * dy)
@@ -140,26 +140,29 @@ def observe(
     ):
         out[i] = min(max(value, low[i]), high[i])
         i += 1
-    for k in range(FORCES):
-        out[i] = min(max(forces[k], low[i]), high[i])
+    for value in forces:
+        out[i] = min(max(value, low[i]), high[i])
         i += 1
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def sensed(reactions, jaws, unit, out):
-    """What sensors in the jaws feel, over a unit, N, into out (FORCES,).
+def sensed(reactions, jaws, unit):
+    """What sensors in the jaws feel, FORCES numbers, over a unit, N.
 
-    reactions: (2, 2) N, tissue on jaw; jaws: (4,) m. Of the lower, then of the upper jaw: with what it
-    presses, and with what it drags the tissue along the flap, towards the fixed end where the jaws stand
-    upright.
+    reactions: of the tissue on the lower and on the upper jaw, x, y, x, y, N; jaws: (4,) m. Of the lower,
+    then of the upper jaw: with what it presses, and with what it drags the tissue along the flap, towards the
+    fixed end where the jaws stand upright.
     """
+    x1, y1, x2, y2 = reactions
     ax, ay = jaws[2] - jaws[0], jaws[3] - jaws[1]
     long = math.sqrt(ax * ax + ay * ay)
     ax, ay = (ax / long, ay / long) if long > 0 else (0.0, 1.0)
-    for jaw in range(2):
-        along_axis = reactions[jaw, 0] * ax + reactions[jaw, 1] * ay
-        out[2 * jaw] = (-along_axis if jaw == 0 else along_axis) / unit
-        out[2 * jaw + 1] = -(reactions[jaw, 0] * ay - reactions[jaw, 1] * ax) / unit
+    return (
+        -(x1 * ax + y1 * ay) / unit,
+        -(x1 * ay - y1 * ax) / unit,
+        (x2 * ax + y2 * ay) / unit,
+        -(x2 * ay - y2 * ax) / unit,
+    )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

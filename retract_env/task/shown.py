@@ -27,7 +27,6 @@ from retract_env.task.arrays import (
     TO_LINE,
 )
 from retract_env.task.rules import (
-    FORCES,
     FRICTION_LIMIT,
     GOES_ON,
     KEYPOINTS,
@@ -99,13 +98,12 @@ def observe_now(lanes, rules, block, i, out):
     """Environment i observed into out."""
     points = np.empty(4 * KEYPOINTS)
     _points(lanes, block, i, points)
-    stated, forces = lanes.stated[i], np.zeros(FORCES)
+    stated, forces = lanes.stated[i], (0.0, 0.0, 0.0, 0.0)
     length, height = stated[scenarios.LENGTH], stated[scenarios.HEIGHT]
     if lanes.holding[i]:
-        unit = stated[scenarios.MODULUS] * stated[scenarios.JAW_WIDTH] * block.flap[i % LANES, DEPTH]
-        reactions = np.empty((2, 2))
-        reactions_on(block, i % LANES, lanes.jaws[i], reactions)
-        sensed(reactions, lanes.jaws[i], unit, forces)
+        flap, jaws = block.flap[i % LANES], lanes.jaws[i]
+        unit = stated[scenarios.MODULUS] * stated[scenarios.JAW_WIDTH] * flap[DEPTH]
+        forces = sensed(reactions_on(flap, block.measured[i % LANES], jaws), jaws, unit)
     observe(
         lanes.holding[i],
         1 - lanes.steps[i] / rules.steps,

@@ -48,7 +48,7 @@ def refused(message: str, error: type[Exception] = ValueError) -> Any:
         ({"ranges": {"length": [9.0, 9.0]}, "scene": "random"}, "length"),
         ({"unknowns": 3}, "unknowns = 3, "),
         ({"unknowns": {"stiffness": 0.1}}, "unknowns.stiffness: unknown key"),
-        ({"unknowns": {"modulus": 2.0}}, r"unknowns.modulus = 2, allowed \[0, 0.9\]"),
+        ({"unknowns": {"modulus": 2.0}}, r"unknowns.modulus = 2.0, allowed \[0, 0.9\]"),
         ({"scene": "no such scene"}, "no such scene"),
         ({"scene": {}}, "missing"),
     ],

@@ -130,7 +130,7 @@ def test_an_observation_number_by_number(seed: int) -> None:
     strain, most, one, other, friction = rng.choice([0.0, 0.3, 0.7, 3.0, np.inf], 5)
     limits = np.array([0.5, 0.4, 0.0])
     clearance, exposure, left = rng.uniform(-0.2, 0.2), rng.uniform(), rng.uniform()
-    forces, off = rng.normal(scale=5, size=4), rng.choice([0.0, 1e-4], 3)
+    forces, off = tuple(rng.normal(scale=5, size=4).tolist()), rng.choice([0.0, 1e-4], 3)
     out = np.full(SIZE, np.nan, np.float32)
     rules.observe(
         True, left, jaws, length, height, points, sight, k_eq, strain, most, one, other, friction, clearance,
@@ -171,15 +171,14 @@ def test_sensors_feel_what_the_jaws_do_to_the_tissue(seed: int) -> None:
     """Both jaws' forces are put together again from their parts, whichever way the jaws stand."""
     rng = np.random.default_rng(seed)
     reactions, jaws = rng.normal(size=(2, 2)), rng.normal(scale=0.02, size=4)
-    out = np.empty(rules.FORCES)
-    rules.sensed(reactions, jaws, 0.2, out)
+    out = np.array(rules.sensed(tuple(reactions.ravel().tolist()), jaws, 0.2))
     axis = (jaws[2:] - jaws[:2]) / np.linalg.norm(jaws[2:] - jaws[:2])
     along = np.array([axis[1], -axis[0]])
     presses, drags = 0.2 * out[0::2], 0.2 * out[1::2]
     put_together = np.outer([presses[0], -presses[1]], axis) + np.outer(drags, along)
     assert put_together == pytest.approx(-reactions, abs=1e-12)
-    rules.sensed(np.array([[0.0, -1.0], [0.0, 1.0]]), np.array([0.0, 0.0, 0.0, 1.0]), 1.0, out)
-    assert out.tolist() == [1.0, 0.0, 1.0, 0.0]  # upright jaws, between which tissue pushes them apart
+    # upright jaws, which tissue between them pushes apart
+    assert rules.sensed((0.0, -1.0, 0.0, 1.0), np.array([0.0, 0.0, 0.0, 1.0]), 1.0) == (1.0, 0.0, 1.0, 0.0)
 
 
 @many
