@@ -130,8 +130,7 @@ def _played(policy: Decide | None, scene: Scene, task: WorkItem) -> HandedIn:
     target: the certifier stops at visibility."""
     assert policy is not None
     timed = _Timed(policy)
-    name = PHYSICS[task["policy_physics"]].env_id
-    env: Any = gym.make(name, resolution=task["policy_resolution"], disable_env_checker=True).unwrapped
+    env = _environment(task, policy)
     try:
         played = rollout(env, timed, seed=0, options={"scene": scene.dump(), "grasp": "agent"})
         grasp, path = env.episode.grasp, env.episode.path
@@ -156,7 +155,7 @@ def transferred(task: WorkItem) -> Row:
     policy = acting(Method(**task["method"]), task)
     if policy is None:
         return {"transfer": None}
-    env = gym.make(BULLET, disable_env_checker=True)
+    env = gym.make(BULLET, disable_env_checker=True, **_settings(policy))
     try:
         played = rollout(env, policy, seed=0, options={"scene": task["scene"]})
     finally:
@@ -167,20 +166,34 @@ def transferred(task: WorkItem) -> Row:
 def played_on_draws(task: WorkItem) -> Row:
     """In how many of the first draws of what is not known a policy that acts step by step succeeds, on the
     benchmark's physics; None for what is no policy. It is not told the draw."""
-    method, name = Method(**task["method"]), PHYSICS[task["policy_physics"]].env_id
+    method = Method(**task["method"])
+    if (policy := acting(method, task)) is None:
+        return {"closed_loop": None}
     ends: list[str] = []
-    env: Any = gym.make(
-        name, resolution=task["policy_resolution"], unknowns=True, disable_env_checker=True
-    ).unwrapped
+    env = _environment(task, policy)
     try:
-        for z in draws(task["played"], task["survival"]["seed"] + task["number"]):
-            if (policy := acting(method, task)) is None:
-                return {"closed_loop": None}
+        for number, z in enumerate(draws(task["played"], task["survival"]["seed"] + task["number"])):
             options = {"scene": task["scene"], "grasp": "agent", "unknowns": z}
-            ends.append(_end_of(rollout(env, policy, seed=0, options=options)))
+            ends.append(_end_of(rollout(env, policy, seed=number, options=options)))
+            policy = acting(method, task)
+            assert policy is not None
     finally:
         env.close()
     return {"closed_loop": ends.count("ok") / len(ends)}
+
+
+def _settings(policy: Decide) -> dict[str, Any]:
+    """What a policy's environment is like wherever it plays, as its attribute `env` says: what its jaws hold
+    by, its sensors, its task."""
+    given = getattr(policy, "env", {}).get("kwargs", {})
+    return {name: given[name] for name in ("grip", "sensors", "task") if name in given}
+
+
+def _environment(task: WorkItem, policy: Decide) -> Any:
+    """The environment on the benchmark's physics, for a policy."""
+    name = PHYSICS[task["policy_physics"]].env_id
+    settings = _settings(policy) | {"resolution": task["policy_resolution"]}
+    return gym.make(name, disable_env_checker=True, **settings).unwrapped
 
 
 def _end_of(played: Rollout) -> str:

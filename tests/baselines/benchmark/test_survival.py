@@ -30,7 +30,7 @@ from planners.swift.planner import SEED
 from retract_env.grasp import Grasp
 from retract_env.scenarios import draws
 from retract_env.scene import Uncertainty
-from retract_env.task import default_scene
+from retract_env.task import SLICES, default_scene
 
 ASKED = {"draws": 40, "seed": 53_000_001, "judged": 1}
 
@@ -134,7 +134,7 @@ def test_a_policy_is_played_on_the_first_draws(monkeypatch: pytest.MonkeyPatch) 
             """Holds no resources."""
 
     def make(name: str, **given: Any) -> Stub:
-        assert given["unknowns"] is True and given["resolution"] == "coarse"
+        assert given == {"resolution": "coarse", "disable_env_checker": True}
         return Stub()
 
     monkeypatch.setattr(attempts, "gym", SimpleNamespace(make=make))
@@ -147,3 +147,21 @@ def test_a_policy_is_played_on_the_first_draws(monkeypatch: pytest.MonkeyPatch) 
     )
     assert attempts.played_on_draws(task) == {"closed_loop": 0.5}
     assert np.array([options["unknowns"] for options in seen]) == pytest.approx(draws(40, 53_000_004)[:4])
+
+
+def test_a_policy_plays_by_its_own_grip_and_sensors() -> None:
+    """What its jaws did is a grasp by force, and it is not shown what its sensors do not have."""
+    kwargs = {"scene": "random", "grip": "force", "sensors": {"hide": ["strain"]}, "unknowns": True}
+    seen: list[Any] = []
+
+    class Still:
+        env = {"id": "TissueRetractRod-v0", "kwargs": kwargs}  # noqa: RUF012
+
+        def __call__(self, observation: Any) -> Any:
+            seen.append(observation[SLICES["strain"]][0])
+            return np.zeros(3, np.float32)
+
+    task = work_item(method=asdict(Method("nothing", "nothing")), scene=default_scene().dump())
+    handed = attempts._played(Still(), default_scene(), task)
+    assert handed.grasp is not None and handed.grasp.force is not None
+    assert len(seen) == 64 and not any(seen)
