@@ -72,9 +72,9 @@ def announce_compilation(*physics: str) -> None:
             if not is_cached(follow._follow):
                 _compile("planning", _use_every_kernel_of_planning)
         elif name == "rod":
-            from retract_env.task.batch import advance_range
+            from retract_env.rod.block import advance_blocks
 
-            if not is_cached(advance_range):
+            if not is_cached(advance_blocks):
                 _compile("rod", _use_every_kernel_of_rods)
         elif not retract_env.fem.kernels_are_cached(name):
             _compile("finite-element", _use_every_kernel)

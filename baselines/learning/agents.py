@@ -101,8 +101,9 @@ class Agent:
         """What has been learned, its actions without noise."""
         layers = self.layers()
         stats, floor = self.stats, self.recipe.observation.floor
+        name = self.recipe.name or self.recipe.algorithm
         return Policy(
-            name=f"{self.started}+{self.recipe.algorithm}" if self.started else self.recipe.algorithm,
+            name=f"{self.started}+{name}" if self.started else name,
             weights=tuple(layer.weight.detach().numpy().copy() for layer in layers),
             biases=tuple(layer.bias.detach().numpy().copy() for layer in layers),
             mean=stats.mean.astype(np.float32),

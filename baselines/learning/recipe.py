@@ -140,6 +140,8 @@ def learner_of(algorithm: object) -> type[Learner]:
 class Recipe(Part):
     """All that decides a training run, but the seed, and how many environments where it does not say."""
 
+    name: Name | None = None
+    """What its policies are called, whatever their seed; None: as the algorithm."""
     algorithm: str
     """in `ALGORITHMS`"""
     steps: Count

@@ -93,6 +93,7 @@ def recipe(algorithm: str, steps: int, every: int, checkpoint: int | None = None
     """For the easy scene, held by the spring model's grasp."""
     return Recipe.from_data(
         {
+            "name": algorithm,
             "algorithm": algorithm,
             "steps": steps,
             "task": {"scene": easy_scene(), "grasp": "spring"},

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -20,6 +21,7 @@ from baselines.cli import main
 from baselines.cli.console import announce_compilation
 from baselines.learning.train import CHECKPOINT
 from retract_env.fem import kernels, kernels_are_cached
+from retract_env.physics.registry import PHYSICS
 from tests.baselines.trained import recipe
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -40,7 +42,7 @@ def config(tmp_path: Path) -> Path:
         (["ppo", "--from", "bc-0"], "network: layers, activation and output "),
         (["ppo", "--demos", "3"], "demos = 3, but ppo learns from no data set"),
         (["sac"], "algorithm = 'ppo', asked for 'sac'"),
-        (["ddpg"], "algorithm = 'ddpg', allowed ppo, sac, tqc, bc"),
+        (["ddpg"], "algorithm = 'ddpg', allowed ppo, ppo_lagrangian, sac, tqc, bc"),
         (["ppo", "--physics", "jelly"], "task.physics = 'jelly', allowed bullet, fem, rod"),
         (["ppo", "--resume"], "--config, --envs: not with --resume"),
     ],
@@ -98,3 +100,25 @@ def test_what_compiles_is_said_for_what_is_used(
     assert "first run: compiling" in capsys.readouterr().out
     keep(kernels.tangent, here)
     assert kernels_are_cached("fem")
+
+
+@pytest.mark.parametrize("name", [*PHYSICS, "planning"])
+def test_kernels_of_every_kind_are_asked_for(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    """Those that were never compiled are, and only those."""
+    from baselines.cli import console
+    from retract_env import compilation, fem
+
+    compiled: list[str] = []
+    monkeypatch.setattr(console, "_compile", lambda kernels, _: compiled.append(kernels))
+    for cached in (True, False):
+        monkeypatch.setattr(fem, "kernels_are_cached", lambda _, cached=cached: cached)
+        asked: list[Any] = []
+
+        def is_cached(kernel: Any, asked: list[Any] = asked, cached: bool = cached) -> bool:
+            asked.append(kernel._cache._cache_file)  # only what numba keeps has one
+            return cached
+
+        monkeypatch.setattr(compilation, "is_cached", is_cached)
+        announce_compilation(name)
+        assert len(compiled) == (not cached)
+        assert len(asked) == (name in ("rod", "planning"))
