@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from retract_env.fem.assembly import Assembly
+from retract_env.fem.descent import Turn
 from retract_env.fem.elements import ElementBlock, lame
 from retract_env.scene import Scene
 
@@ -74,6 +75,14 @@ class HexModel:
         self.scene, self.free, self.assembly = flap.scene, flap.free, flap.assembly()
         self.residual, self.tangent = self.assembly.residual, self.assembly.tangent
         self.tangent_times = self.assembly.tangent_times
+
+    def on_bed(self, u: Array) -> NDArray[np.bool_]:  # noqa: ARG002
+        """There is no bed."""
+        return np.zeros(0, bool)
+
+    def turned(self, u: Array, v: Array) -> Turn:  # noqa: ARG002
+        """None of the unknowns is said to turn, as in the other code."""
+        return np.zeros(0, np.int32), np.zeros(0), np.zeros(0)
 
 
 def hex_flap(scene: Scene, jaw_x: float, patch: int, rows: int, growth: float = 1.5) -> HexFlap:

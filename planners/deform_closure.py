@@ -27,7 +27,7 @@ from retract_env.fem.model import FlapModel
 from retract_env.fem.prism import Prism, depth_breaks
 from retract_env.grasp import Grasp
 from retract_env.mesh import Resolution, jaw_range, section_mesh
-from retract_env.objectives import strain, worst_mean
+from retract_env.objectives import worst_mean
 from retract_env.scene import Scene
 from retract_env.spring import optimal_compression
 
@@ -86,7 +86,7 @@ def brute_force(scene: Scene, pairs: int = PAIRS, nodes: int = NODES) -> Closure
     worst = np.empty(pairs)
     for i in range(pairs):
         u[assembly.free] = closing / compliance[i] * moved[:, i]
-        strains = [strain(stretches).ravel() for stretches in assembly.stretches(u)]
+        strains = [s.ravel() for s in assembly.strains(u)]
         worst[i] = worst_mean(np.concatenate(strains), weights) / closing
     area = width * (scene.jaws.depth or tissue.depth)
     return Closure(x, 1 / (compliance * area), worst, len(section.points) * model.prism.levels)

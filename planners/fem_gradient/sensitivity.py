@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from retract_env.errors import Diverged
 from retract_env.fem.solver import Equilibrium
 from retract_env.grasp import to_jaws
-from retract_env.objectives import strain
 from retract_env.physics.fem import FemPhysics
 
 Array = NDArray[np.float64]
@@ -168,7 +167,7 @@ class Sensitivity:
         return out, out_slope
 
     def _strains(self, u: Array) -> Array:
-        return np.concatenate([strain(s).ravel() for s in self.model.assembly.stretches(u)])
+        return np.concatenate([s.ravel() for s in self.model.assembly.strains(u)])
 
     def _strains_slope(self, u: Array, slope: Array) -> Array:
         """(m, 4), by central differences along the columns of slope (n, 4)."""

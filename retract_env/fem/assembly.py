@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from retract_env.fem import kernels
 from retract_env.fem.elements import ElementBlock
-from retract_env.fem.stretches import principal_stretches
+from retract_env.fem.stretches import greatest_strains, principal_stretches
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -84,13 +84,24 @@ class Assembly:
 
     def stretches(self, u: Array) -> list[Array]:
         """Principal stretches (m, nr, 3) where each block's strain is measured, ascending."""
+        return [block.by_element(_stretches(block, u)) for block in self.blocks]
+
+    def strains(self, u: Array) -> list[Array]:
+        """`objectives.strain` of these, (m, nr)."""
         out = []
         for block in self.blocks:
-            chunks, _, lanes = block.weight.shape
-            stretch = np.empty((chunks, len(block.mix), 3, lanes))
-            principal_stretches(u, block.gxy, block.gz, block.dofs, block.mix, stretch)
-            out.append(block.by_element(stretch))
+            strain = np.empty((block.count, len(block.mix)))
+            greatest_strains(_stretches(block, u), strain)
+            out.append(strain)
         return out
+
+
+def _stretches(block: ElementBlock, u: Array) -> Array:
+    """Principal stretches (c, nr, 3, LANES)."""
+    chunks, _, lanes = block.weight.shape
+    out = np.empty((chunks, len(block.mix), 3, lanes))
+    principal_stretches(u, block.gxy, block.gz, block.dofs, block.mix, out)
+    return out
 
 
 @njit(cache=True, nogil=True)

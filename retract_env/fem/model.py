@@ -7,7 +7,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from retract_env.errors import MeshError
+from retract_env.fem import descent
 from retract_env.fem.assembly import Assembly
+from retract_env.fem.descent import Turn
 from retract_env.fem.prism import Prism
 from retract_env.mesh import RESOLUTIONS, Resolution, SectionMesh
 from retract_env.scene import Scene
@@ -76,6 +78,11 @@ class FlapModel:
         row = number[self._bed]
         self._bed, self._bed_stiffness = self._bed[row >= 0], self._bed_stiffness[row >= 0]
         self._bed_diagonal = self.assembly.indptr[row[row >= 0]]
+
+        across = prism.x(nodes, every)
+        turning = number[across] >= 0
+        self._turning = number[across[turning]].astype(np.int32)
+        self._turning_nodes = np.tile(nodes, prism.levels)[turning].astype(np.int32)
 
     def at_rest(self) -> Array:
         """First guess for the flap on its bed: pressed in by its own weight, so that the bed already bears
@@ -149,6 +156,13 @@ class FlapModel:
         down = self._bed[u[self._bed] < 0]
         out[down] += self._bed_stiffness[u[self._bed] < 0] * v[down]
         return out
+
+    def turned(self, u: Array, v: Array) -> Turn:
+        """How far the tissue around each node has turned from u to v (n,) m."""
+        cos, sin = np.empty(len(self._turning)), np.empty(len(self._turning))
+        section, stride = self.section, self.prism.stride
+        descent.turns(u, v, section.points, section.triangles, stride, self._turning_nodes, cos, sin)
+        return self._turning, cos, sin
 
     def reactions(self, force: Array) -> Array:
         """(2, 2) N, force of the tissue on the lower and the upper jaw over the whole depth."""

@@ -106,6 +106,16 @@ def principal_stretches(u, gxy, gz, dofs, mix, out):
 
 
 @njit(**JIT)
+def greatest_strains(stretch, out):
+    """max |stretch - 1| of principal stretches (c, nr, 3, LANES) in ascending order, into `out` (m, nr)."""
+    for e in range(out.shape[0]):
+        c = e // LANES
+        l = e % LANES
+        for r in range(out.shape[1]):
+            out[e, r] = max(abs(stretch[c, r, 2, l] - 1.0), abs(stretch[c, r, 0, l] - 1.0))
+
+
+@njit(**JIT)
 def _thirds(t, cos, sin):
     """Cos and sin of a third of the angles whose cosines are t, which is overwritten; loops that one vector
     instruction can run, each."""

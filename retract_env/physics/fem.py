@@ -266,8 +266,8 @@ class FemPhysics:
         self._missed = None if beam is None else (self._way(pose), self._u - beam)
         if progress is None:
             self._history.clear()
-            # without a history the next guess comes with a factorisation of its own; states stay small
-            self.equilibrium.forget()
+            # they would help little where the next move goes elsewhere; states stay small
+            self.equilibrium.forget_steps()
         else:
             self._progress = progress
             earlier = [h for h in self._history if h[0] != progress]
@@ -297,8 +297,6 @@ class FemPhysics:
         energies = [self.model.residual(u)[0] for u in guesses]
         if guesses and math.isfinite(min(energies)):
             best = guesses[energies.index(min(energies))]
-            if best is not smooth:
-                self.equilibrium.forget()
             return best, beam
         moved = self._u.copy()
         self.model.place_jaws(moved, jaws)
@@ -372,7 +370,7 @@ class FemPhysics:
         """What there is to see and to feel now."""
         start = time.perf_counter()
         model, jaws = self.model, to_jaws(self._pose)
-        levels = [model.positions(self._u, k) for k in range(model.prism.levels)]
+        levels = np.array([model.positions(self._u, k) for k in range(model.prism.levels)])
         state = self._measures.state(self._u, jaws, model.reactions(self._force), levels, self._progress)
         self.seconds["measures"] += time.perf_counter() - start
         return state

@@ -6,6 +6,7 @@ positions, by the finite-element kernels.
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from retract_env.fem.assembly import Assembly
 from retract_env.fem.elements import ElementBlock, lame
 from retract_env.fem.linear import Factor, cholesky
 from retract_env.mesh import SectionMesh
-from retract_env.objectives import IN_BLOCK, clearance, inside_block, required_friction, strain, worst_mean
+from retract_env.objectives import IN_BLOCK, clearance, inside_block, required_friction, worst_mean
 from retract_env.physics.base import TissueState
 from retract_env.scene import Scene
 
@@ -104,32 +105,40 @@ class Measures:
         self._volume = share @ np.concatenate([w.sum(axis=1) for w in weights])
         # the triangle that has most of an element stands for its place
         self._triangle = np.asarray(share.tocsc().argmax(axis=0)).ravel()
+        self._element_of = np.repeat(
+            np.arange(sum(map(len, weights))), [w.shape[1] for w in weights for _ in w]
+        )
         self._ring = outline_ring(section)
+        line = scene.line_of_sight
+        self._line = np.array(line.camera), np.array(line.target)
 
     def state(
         self,
         u: Array,
         jaws: Array,
         reactions: Array,
-        levels: list[Array],
+        levels: Array,
         progress: float,
         others: Array | None = None,
     ) -> TissueState:
         """The state at displacements u (n,) m.
 
-        jaws: (4,) m; reactions: (2, 2) N, tissue on jaw; levels: where the section's nodes are at each depth,
-        (k, 2) m each, the drawn one first; others: (m, 2) m, nodes that belong to no level.
+        jaws: (4,) m; reactions: (2, 2) N, tissue on jaw; levels: (d, k, 2) m, where the section's nodes are
+        at each depth, the drawn one first; others: (m, 2) m, nodes that belong to no level.
         """
-        stretches = self.assembly.stretches(u)
-        per_block = [strain(s) for s in stretches]
-        total = np.concatenate([(s * w).sum(axis=1) for s, w in zip(per_block, self._weights, strict=True)])
-        worst = int(np.concatenate([s.max(axis=1) for s in per_block]).argmax())
-        axis = (jaws[2:] - jaws[:2]) / np.hypot(*(jaws[2:] - jaws[:2]))
-        normals = np.array([axis, -axis])
-        line = self.scene.line_of_sight
+        strains = self.assembly.strains(u)
+        total = np.concatenate(
+            [np.einsum("ep,ep->e", s, w) for s, w in zip(strains, self._weights, strict=True)]
+        )
+        every = np.concatenate([s.ravel() for s in strains])
+        worst = self._element_of[every.argmax()]
+        dx, dy = (jaws[2:] - jaws[:2]).tolist()
+        long = math.hypot(dx, dy)
+        normals = np.array([[dx, dy], [-dx, -dy]]) / long
+        camera, target = self._line
         height = self.scene.tissue.height
         crease = max(doubled(p[self._ring]) for p in levels)
-        nodes = levels if others is None else [*levels, others]
+        nodes = [levels] if others is None else [levels, others]
         seen = [*nodes, tool_outline(self.scene, jaws)] if self.scene.jaws.in_sight else nodes
         return TissueState(
             points=levels[0],
@@ -137,10 +146,10 @@ class Measures:
             jaws=jaws,
             reactions=reactions,
             normals=normals,
-            worst_strain=worst_mean(np.concatenate([s.ravel() for s in per_block]), self._points_volume),
+            worst_strain=worst_mean(every, self._points_volume),
             worst_at=self.section.corners[self._triangle[worst]].mean(axis=0),
             required_friction=required_friction(reactions, normals),
-            clearance=min(clearance(p, line.camera, line.target) for p in seen),
+            clearance=min(clearance(p, camera, target) for p in seen),
             progress=progress,
             crease=crease,
             overlap=crease > (EDGE * self.scene.jaws.width) ** 2
@@ -179,7 +188,7 @@ class TetrahedralFlap:
         reactions = -np.array([force[nodes, :2].sum(axis=0) for nodes in self.mesh.patches])
         now = (self.mesh.points + u)[:, :2]
         section = now[self.mesh.section_nodes].mean(axis=1)
-        return self._measures.state(u.ravel(), jaws, reactions, [section], progress, now)
+        return self._measures.state(u.ravel(), jaws, reactions, section[None], progress, now)
 
     def frequency(self, u: Array, mass: float, mode: Array | None, iterations: int) -> tuple[float, Array]:
         """Highest angular frequency, rad/s, of small vibrations about u (n, 3) m, by the power method.
