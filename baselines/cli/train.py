@@ -134,6 +134,8 @@ def _told(title: str, run: Run) -> Iterator[Any]:
                 return
             newest = progress.last
             text = f"{newest['success']:.0%} succeed, strain {newest['strain']:.2f} of the limit"
+            if "fem_success" in newest:
+                text += f" (finite elements: {newest['fem_success']:.0%}, {newest['fem_strain']:.2f})"
             told.update(progress.steps, text)
             if not told.console.is_terminal:
                 told.say(f"{newest['steps']} of {progress.total} steps: {text}, {newest['seconds']:.0f} s")

@@ -31,7 +31,8 @@ class Told:
         self.before = self.done = 0
         self.note = ""
         columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-        self.bar = Progress(*columns, console=console, disable=not console.is_terminal)
+        speed = [TextColumn("{task.fields[speed]}")] if unit else []
+        self.bar = Progress(*columns, *speed, console=console, disable=not console.is_terminal)
         self._begun = time.monotonic()
         self._told = self._begun
         self._over = threading.Event()
@@ -39,7 +40,7 @@ class Told:
 
     def __enter__(self) -> Told:
         self.bar.start()
-        self._line = self.bar.add_task(self.title, total=self.total)
+        self._line = self.bar.add_task(self.title, total=self.total, speed="")
         if not self.console.is_terminal:
             self._teller.start()
         return self
@@ -63,7 +64,9 @@ class Told:
         if note is not None:
             self.note = note
         description = f"{self.title}: {self.note}" if self.note else self.title
-        self.bar.update(self._line, completed=done, description=description)
+        spent, fresh = time.monotonic() - self._begun, done - self.before
+        speed = f"{fresh / spent:.3g} {self.unit}/s" if fresh > 0 < spent else ""
+        self.bar.update(self._line, completed=done, description=description, speed=speed)
 
     def another(self, _: Row) -> None:
         """One more task is done."""
