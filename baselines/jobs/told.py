@@ -64,9 +64,7 @@ class Told:
         if note is not None:
             self.note = note
         description = f"{self.title}: {self.note}" if self.note else self.title
-        spent, fresh = time.monotonic() - self._begun, done - self.before
-        speed = f"{fresh / spent:.3g} {self.unit}/s" if fresh > 0 < spent else ""
-        self.bar.update(self._line, completed=done, description=description, speed=speed)
+        self.bar.update(self._line, completed=done, description=description, speed=self._speed())
 
     def another(self, _: Row) -> None:
         """One more task is done."""
@@ -84,9 +82,17 @@ class Told:
             parts.append(f"after {spent:.0f} s")
         else:
             if self.unit:
-                parts.append(f"{fresh / spent:.3g} {self.unit}/s")
+                parts.append(self._speed())
             parts.append(f"{(self.total - self.done) * spent / fresh:.0f} s left")
         return ", ".join([*parts, self.note] if self.note else parts)
+
+    def _speed(self) -> str:
+        """How much is done a second; nothing while that is not known."""
+        spent, fresh = time.monotonic() - self._begun, self.done - self.before
+        if fresh <= 0 or spent <= 0:
+            return ""
+        rate = fresh / spent
+        return f"{rate:.0f} {self.unit}/s" if rate >= 100 else f"{rate:.3g} {self.unit}/s"
 
     def say(self, text: str) -> None:
         """A line under the title."""

@@ -16,8 +16,8 @@ from baselines.learning.vec_env import BatchVecEnv
 class Penalised(VecEnvWrapper):
     """The reward r of each step becomes r - sum of multiplier x cost.
 
-    A step's costs are the task's `cost_terms`: by how much of itself each limit is exceeded. `spent` are the
-    sums of the episodes that are over.
+    A step costs 1 for each limit that is broken in it. `spent` are the sums of the episodes that are over;
+    where a broken limit ends the episode, their mean is the share of episodes that break it.
     """
 
     def __init__(self, venv: VecEnv, costs: Sequence[str], multiplier: float):
@@ -40,7 +40,7 @@ class Penalised(VecEnvWrapper):
             told = {name: np.array([i["cost_terms"][name] for i in infos]) for name in self.multipliers}
         penalty = np.zeros(self.num_envs)
         for name, multiplier in self.multipliers.items():
-            cost: NDArray[np.float64] = told[name]
+            cost: NDArray[np.float64] = (told[name] > 0).astype(float)
             penalty += multiplier * cost
             sums = self._running[name]
             sums += cost

@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 
 
 class Allowed(Part):
-    """What an episode may cost on average: by how much of itself a limit is exceeded, summed over steps."""
+    """In how many steps an episode may break a limit, on average; the share of episodes that may, where that
+    ends them."""
 
     strain: Rate
     friction: Rate
