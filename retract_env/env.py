@@ -71,7 +71,8 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
     | 1 | compression of the flap between the jaws, geometrically | 0.02 s height | 0.5 height |
     | 2 | none | | |
 
-    s is the square of the flap's height over its length, over that of the paper's flap, where it is 1. With
+    s is the square of the flap's height over its length, over that of the paper's flap, where it is 1. The
+    lightest grip is at most half of the firmest, and what would be firmer than that is the firmest. With
     `grip="force"` number 1 is the force with which the jaws press, geometrically from 0.03 s to 1 E w d: E is
     the tissue's modulus, w the jaws' width, d the flap's depth. For the paper's flap that is 5 to 176 mN;
     Eq. 5's compression, a quarter of the height, presses with 109 mN there, and one of 0.02 with some 8. The
@@ -227,8 +228,9 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
 
     ## Version History
 
-    - v0: first version. Later with `grip` and `unknowns`, whose defaults change nothing, and with `forces` at
-      the end of the observation, which was (107,) before.
+    - v0: first version. Later with `grip` and `unknowns`, whose defaults change nothing, with `forces` at the
+      end of the observation, which was (107,) before, and with a lightest grip that depends on how slender
+      the flap is, 0.02 of the height for all before.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012

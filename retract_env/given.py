@@ -26,13 +26,17 @@ class Settings(Frozen):
     unknowns: Uncertainty | None = None
     """None: all is as scenes say. What is set here counts instead of what they say of their uncertainty."""
 
+    @property
+    def set_here(self) -> dict[str, Any] | None:
+        """What counts instead of what scenes say of their uncertainty; None where all is as they say."""
+        named = self.unknowns
+        return None if named is None else {name: getattr(named, name) for name in named.model_fields_set}
+
     def prior(self, scene: Scene) -> Scene:
         """The scene with the uncertainty that counts."""
-        named = None if self.unknowns is None else self.unknowns.model_fields_set
-        if not named:
+        if not self.set_here:
             return scene
-        set_here = {name: getattr(self.unknowns, name) for name in named}
-        return scene.model_copy(update={"uncertainty": scene.uncertainty.model_copy(update=set_here)})
+        return scene.model_copy(update={"uncertainty": scene.uncertainty.model_copy(update=self.set_here)})
 
 
 Unknowns = bool | Mapping[str, Any] | Uncertainty | None

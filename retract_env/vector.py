@@ -309,6 +309,7 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
             raise ResetNeeded("reset the environments first")
         return VectorState(
             self.task_config,
+            self._settings.set_here,
             self._flaps.state(),
             tuple(self._sources),
             tuple(self._seeds),
@@ -319,8 +320,8 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
     def set_state(self, state: VectorState) -> None:
         """Have all go on from there, with the scenes and the grasp of their next episodes.
 
-        Raises TypeError for what is no state, ValueError for one of another number of environments or of
-        another task; nothing has changed then.
+        Raises TypeError for what is no state, ValueError for one of another number of environments, of
+        another task or of other unknowns; nothing has changed then.
         """
         if not isinstance(state, VectorState):
             raise TypeError(f"state is a {type(state).__name__}, allowed a VectorState")
@@ -328,6 +329,8 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
             raise ValueError(f"state of {len(state.sources)} environments, allowed {self.num_envs}")
         if state.task != self.task_config:
             raise ValueError("state: of another task")
+        if state.unknowns != self._settings.set_here:
+            raise ValueError("state: of environments with other unknowns")
         self._flaps.set_state(state.arrays)
         self._sources, self._seeds = list(state.sources), list(state.seeds)
         self._special[:], self._grasp = state.special, state.grasp
@@ -349,6 +352,8 @@ class VectorState:
     """Where n environments stood. It can be pickled; not to be changed."""
 
     task: TaskConfig
+    unknowns: dict[str, Any] | None
+    """as `Settings.set_here`"""
     arrays: dict[str, NDArray[Any]]
     """what each is made of, by name, n rows each"""
     sources: tuple[Scene | str, ...]
@@ -365,5 +370,11 @@ class VectorState:
         arrays = {name: np.repeat(array[k : k + 1], n, axis=0) for name, array in self.arrays.items()}
         special = np.full(n, self.special[k])
         return VectorState(
-            self.task, arrays, (self.sources[k],) * n, (self.seeds[k],) * n, special, self.grasp
+            self.task,
+            self.unknowns,
+            arrays,
+            (self.sources[k],) * n,
+            (self.seeds[k],) * n,
+            special,
+            self.grasp,
         )

@@ -76,7 +76,7 @@ def train_command(
             command = shlex.join(["retract", "train", algorithm, "--resume", "--out", str(folder)])
             return f"go on with `{command}`" if (folder / train.RUN).exists() else ""
 
-        announce_compilation(run.recipe.task.physics)
+        announce_compilation(run.recipe.task.physics, *(["fem"] if run.recipe.evaluation.fem else []))
         with usable_folder(folder), going_on(how), _told(algorithm, run) as told:
             policy = train.train(run, folder, told)
         score = policy.scores["validation"]
@@ -135,7 +135,7 @@ def _told(title: str, run: Run) -> Iterator[Any]:
             newest = progress.last
             text = f"{newest['success']:.0%} succeed, strain {newest['strain']:.2f} of the limit"
             if "fem_success" in newest:
-                text += f" (finite elements: {newest['fem_success']:.0%}, {newest['fem_strain']:.2f})"
+                text += f" (finite elements: {newest['fem_success']:.0%}, strain {newest['fem_gap']:+.0%})"
             told.update(progress.steps, text)
             if not told.console.is_terminal:
                 told.say(f"{newest['steps']} of {progress.total} steps: {text}, {newest['seconds']:.0f} s")

@@ -74,6 +74,7 @@ class _Judged(_Part):
     broken: Annotated[float, Range(0.0, 1.0)] | None = None
     fem_success: Annotated[float, Range(0.0, 1.0)] | None = None
     fem_strain: Real | None = None
+    fem_gap: Real | None = None
     seconds: Real | None = None
 
 

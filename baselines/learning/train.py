@@ -199,7 +199,8 @@ def _judged(run: Run, agent: Agent, policy: Policy) -> dict[str, Any]:
     """A line of the curve. Its quality is the mean of 1 - strain / limit where it succeeds, 0 elsewhere.
 
     `broken` is the share of episodes since the last checkpoint, exploration and all, that broke a limit. What
-    begins with `fem_` is of the same policy on coarse finite elements, on the first of the scenes.
+    begins with `fem_` is of the same policy on coarse finite elements, on the first of the scenes: `fem_gap`
+    by how much of itself strain is greater there, on average, where it succeeds on both.
     """
     outcomes = judge(agent.envs, policy, run.scenes)
     good = [o for o in outcomes if o["success"]]
@@ -212,8 +213,14 @@ def _judged(run: Run, agent: Agent, policy: Policy) -> dict[str, Any]:
         "broken": sum(agent.ended[reason] for reason in BROKEN) / max(1, agent.ended.total()),
     }
     if run.recipe.task.physics != "fem" and run.recipe.evaluation.fem:
-        beside = _summary(play_on_fem(policy, run.scenes[: run.recipe.evaluation.fem]))
-        line |= {f"fem_{name}": value for name, value in beside.items()}
+        beside = play_on_fem(policy, run.scenes[: run.recipe.evaluation.fem])
+        line |= {f"fem_{name}": value for name, value in _summary(beside).items()}
+        both = [
+            f["strain"] / r["strain"]
+            for f, r in zip(beside, outcomes, strict=False)
+            if f["success"] and r["success"]
+        ]
+        line["fem_gap"] = float(np.mean(both)) - 1 if both else 0.0
     return line
 
 

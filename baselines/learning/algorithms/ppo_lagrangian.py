@@ -2,7 +2,8 @@
 
 The reward that is learned from is r - sum of multiplier x cost, with one critic for the whole. After each
 rollout a multiplier grows where episodes cost more than allowed and falls where they cost less (dual ascent,
-Ray, Achiam and Amodei, 2019), in equal steps of its logarithm, so that it comes down as fast as it went up.
+Ray, Achiam and Amodei, 2019). Its logarithm does, in proportion to the excess, so that it comes down as fast
+as it went up; an excess of more than what is allowed counts as that.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ class PPOLagrangian(PPO):
             allowed = getattr(self.allowed, name)
             if spent:
                 excess = (float(np.mean(spent)) - allowed) / allowed
-                costs.multipliers[name] *= math.exp(self.multiplier_rate * max(-1.0, min(1.0, excess)))
+                costs.multipliers[name] *= math.exp(self.multiplier_rate * min(1.0, excess))
                 model.logger.record(f"costs/{name}", float(np.mean(spent)))
                 spent.clear()
             model.logger.record(f"costs/multiplier_{name}", costs.multipliers[name])
