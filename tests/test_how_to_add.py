@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -108,7 +107,7 @@ def test_a_benchmark_method(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     rows = [
         compete(
             work_item(
-                method=asdict(Method.external(f"mine:{name}")),
+                method=Method.external(f"mine:{name}"),
                 scene=default_scene().dump(),
                 resolution="coarse",
                 limit=120.0,
@@ -126,6 +125,6 @@ def test_a_method_that_plays_untrained(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(UNTRAINED, "up", UNTRAINED["nothing"])  # so that it is taken out again
     exec(compile(example("A method that plays untrained"), "example", "exec"), {})
     assert Method("up", "up") in methods_of(None)
-    item = work_item(method=asdict(Method("up", "up")), scene=default_scene().dump(), resolution="coarse")
+    item = work_item(method=Method("up", "up"), scene=default_scene().dump(), resolution="coarse")
     row = compete(item)
     assert row["method"] == "up" and row["decisions"] > 1 and row["max_strain"] > 0

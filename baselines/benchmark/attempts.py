@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import retract_env  # noqa: F401  (registers the environments)
-from baselines.benchmark.external import Nonsense, called, checked, understood
-from baselines.benchmark.methods import COMPETING, UNTRAINED, Method
+from baselines.benchmark.external import Nonsense, called, checked, settings_of, understood
+from baselines.benchmark.methods import COMPETING, UNTRAINED, Method, method_of
 from baselines.jobs.journal import Row, WorkItem
 from baselines.learning.policies import load_policy
 from planners.base import PROMISING, NoPlan
@@ -29,6 +30,8 @@ from retract_env.scenarios import draws
 from retract_env.scene import Scene
 
 BULLET = PHYSICS["bullet"].env_id
+SETTINGS = ("grip", "sensors", "task")
+"""Of an environment, what a policy may choose."""
 
 
 @dataclass
@@ -77,9 +80,22 @@ class _Timed:
         return action
 
 
+class _Sane:
+    """A policy from elsewhere, whose actions and settings are looked at before the environment is given them.
+
+    Raises Nonsense where they are none.
+    """
+
+    def __init__(self, policy: Callable[[Any], Any]):
+        self.policy, self.env = policy, {"kwargs": settings_of(policy)}
+
+    def __call__(self, observation: NDArray[Any]) -> NDArray[Any]:
+        return checked(self.policy(observation))
+
+
 def hand_in(task: WorkItem) -> Row:
     """What a method hands in for a scene, a `HandedIn` as plain data."""
-    method, scene = Method(**task["method"]), Scene.from_data(task["scene"])
+    method, scene = method_of(task), Scene.from_data(task["scene"])
     start = time.perf_counter()
     try:
         if method.kind == "planner":
@@ -107,12 +123,7 @@ def _planned(method: Method, scene: Scene, task: WorkItem) -> HandedIn:
 def _from_elsewhere(method: Method, scene: Scene, task: WorkItem) -> HandedIn:
     """A plan, or a policy that is played. Raises Nonsense, and whatever the method raises."""
     found = understood(called(method.name, method.folder, scene))
-    return HandedIn(*found) if isinstance(found, tuple) else _played(_sane(found), scene, task)
-
-
-def _sane(policy: Any) -> Decide:
-    """A policy whose actions are looked at before the environment is given them."""
-    return lambda observation: checked(policy(observation))
+    return HandedIn(*found) if isinstance(found, tuple) else _played(_Sane(found), scene, task)
 
 
 def acting(method: Method, task: WorkItem) -> Decide | None:
@@ -121,7 +132,7 @@ def acting(method: Method, task: WorkItem) -> Decide | None:
         return load_policy(method.folder)
     if method.kind == "external":
         found = understood(called(method.name, method.folder, Scene.from_data(task["scene"])))
-        return None if isinstance(found, tuple) else _sane(found)
+        return None if isinstance(found, tuple) else _Sane(found)
     return UNTRAINED[method.kind](task)
 
 
@@ -132,7 +143,8 @@ def _played(policy: Decide | None, scene: Scene, task: WorkItem) -> HandedIn:
     timed = _Timed(policy)
     env = _environment(task, policy)
     try:
-        played = rollout(env, timed, seed=0, options={"scene": scene.dump(), "grasp": "agent"})
+        options = {"scene": scene.dump(), "grasp": "agent"}
+        played = rollout(env, timed, seed=task["number"], options=options)
         grasp, path = env.episode.grasp, env.episode.path
     finally:
         env.close()
@@ -152,12 +164,12 @@ def led_out(path: JawPath, moves: int) -> JawPath:
 
 def transferred(task: WorkItem) -> Row:
     """What became of a policy on PyBullet: "ok", a failure, or "not_visible"; None for what is no policy."""
-    policy = acting(Method(**task["method"]), task)
+    policy = acting(method_of(task), task)
     if policy is None:
         return {"transfer": None}
     env = gym.make(BULLET, disable_env_checker=True, **_settings(policy))
     try:
-        played = rollout(env, policy, seed=0, options={"scene": task["scene"]})
+        played = rollout(env, policy, seed=task["number"], options={"scene": task["scene"]})
     finally:
         env.close()
     return {"transfer": _end_of(played)}
@@ -166,19 +178,18 @@ def transferred(task: WorkItem) -> Row:
 def played_on_draws(task: WorkItem) -> Row:
     """In how many of the first draws of what is not known a policy that acts step by step succeeds, on the
     benchmark's physics; None for what is no policy. It is not told the draw."""
-    method = Method(**task["method"])
-    if (policy := acting(method, task)) is None:
-        return {"closed_loop": None}
+    first = task["number"] * task["played"]  # so that no two episodes have the same noise
     ends: list[str] = []
-    env = _environment(task, policy)
-    try:
-        for number, z in enumerate(draws(task["played"], task["survival"]["seed"] + task["number"])):
+    env: Any = None
+    with ExitStack() as closing:
+        for number, z in enumerate(draws(task["played"], task["survival"]["seed"] + task["number"]), first):
+            if (policy := acting(method_of(task), task)) is None:
+                return {"closed_loop": None}
+            if env is None:
+                env = _environment(task, policy)
+                closing.callback(env.close)
             options = {"scene": task["scene"], "grasp": "agent", "unknowns": z}
             ends.append(_end_of(rollout(env, policy, seed=number, options=options)))
-            policy = acting(method, task)
-            assert policy is not None
-    finally:
-        env.close()
     return {"closed_loop": ends.count("ok") / len(ends)}
 
 
@@ -186,7 +197,7 @@ def _settings(policy: Decide) -> dict[str, Any]:
     """What a policy's environment is like wherever it plays, as its attribute `env` says: what its jaws hold
     by, its sensors, its task."""
     given = getattr(policy, "env", {}).get("kwargs", {})
-    return {name: given[name] for name in ("grip", "sensors", "task") if name in given}
+    return {name: given[name] for name in SETTINGS if name in given}
 
 
 def _environment(task: WorkItem, policy: Decide) -> Any:

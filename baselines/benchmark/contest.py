@@ -1,24 +1,25 @@
 """One method on one scene, judged: the work of the benchmark, for `run_tasks`.
 
-The certifier judges all alike. Planners work in a process of their own beside this one, which is ended where
-they take longer than the limit; a method from elsewhere in a fresh one for each scene, where it may do what
-it likes and loses no row but its own.
+The certifier judges all alike. Planners work in a process beside this one, which is ended where they take
+longer than the limit; a method from elsewhere in a fresh one for each scene, where it may do what it likes
+and loses no row but its own. What that one hands in may take the certifier for ever, too, so that it is
+judged beside this process and within a limit.
 """
 
 from __future__ import annotations
 
 import atexit
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from baselines.benchmark.attempts import HandedIn, hand_in, played_on_draws, transferred
-from baselines.benchmark.external import found_at
-from baselines.benchmark.methods import Method
+from baselines.benchmark.external import check_importable, found_at
+from baselines.benchmark.methods import Method, method_of
 from baselines.benchmark.splits import BenchmarkError
-from baselines.benchmark.survival import ENOUGH, made_firm, survived
-from baselines.jobs.apart import Answer, Apart
+from baselines.benchmark.survival import made_firm, survived
+from baselines.jobs.apart import STARTING, Answer, Apart
 from baselines.jobs.journal import Row, WorkItem
 from baselines.jobs.version import code_version
 from planners.certify import FAILURES, Certificate, certify
@@ -34,29 +35,36 @@ REASONS = (*FAILURES, *TROUBLES)
 ACT = ("policy", "external")
 """Kinds of methods that may be policies, and are then played on the other physics and on draws too."""
 
-_PLANNING = Apart()
-atexit.register(_PLANNING.close)
+JUDGING = 3600.0
+"""s, at most, until a plan from elsewhere is judged, draws included; those of our planners take minutes."""
 
-Ask = Callable[[Callable[[WorkItem], Row], WorkItem], Answer]
+_BESIDE = Apart()
+"""Where our own code works that may take too long: planners, and the judge of what comes from elsewhere."""
+atexit.register(_BESIDE.close)
+
+Ask = Callable[[Callable[[Any], Any], Any, float], Answer]
+"""For a piece of work on a task, within a limit, s."""
 
 
 @contextmanager
-def _where(method: Method, limit: float) -> Iterator[Ask]:
+def _where(method: Method) -> Iterator[Ask]:
     """Where a method does its work."""
     if method.kind == "planner":
-        yield lambda work, task: _PLANNING.call(work, task, limit)
+        yield _BESIDE.call
     elif method.kind == "external":
         with Apart(silent=True, may_fork=True) as own:
-            yield lambda work, task: own.call(work, task, limit)
+            yield own.call
     else:  # an episode has an end, and a network's numbers run nothing
-        yield lambda work, task: Answer(work(task))
+        yield lambda work, task, _: Answer(work(task))
 
 
 def compete(task: WorkItem) -> Row:
     """One method on one scene, judged. The row's `timing` alone differs from run to run, and what takes about
-    as long as the limit. task: see `work_item`. Raises BenchmarkError where it is for other code."""
-    method, scene = Method(**task["method"]), Scene.from_data(task["scene"])
-    _check_same_code(method, task)
+    as long as the limit. task: see `work_item`. Raises BenchmarkError where it is for other code, ApartError
+    where no process can be begun for it."""
+    method, scene = method_of(task), Scene.from_data(task["scene"])
+    _check_same_code(task["code"])
+    _check_same_method(method)
     row: Row = {
         "method": method.name,
         "run": method.run,
@@ -82,15 +90,19 @@ def compete(task: WorkItem) -> Row:
         "decisions": 0,
         "transfer": None,
     }
-    with _where(method, task["limit"]) as ask:
-        handed = _handed(ask(hand_in, task), task["limit"])
+    with _where(method) as ask:
+        _checked(ask(_check_there, task, STARTING))
+        handed = _handed(ask(hand_in, task, task["limit"]), task["limit"])
+        row |= {"reason": handed.reason, "detail": handed.detail}
         if method.kind in ACT and handed.decisions:
-            row["transfer"] = _also(ask, transferred, task, "transfer") if task["transfer"] else None
-            row["closed_loop"] = _also(ask, played_on_draws, task, "closed_loop") if task["played"] else None
-    row |= {"reason": handed.reason, "detail": handed.detail}
+            if task["transfer"]:
+                _also(row, ask, transferred, task)
+            if task["played"]:
+                _also(row, ask, played_on_draws, task)
     row |= {"evaluations": handed.evaluations, "decisions": handed.decisions}
     if handed.grasp is not None and handed.path is not None:
-        row |= _judged(scene, handed.grasp, handed.path, task)
+        found = _judged_beside(handed, task) if method.kind == "external" else _verdict_on(handed, task)
+        row |= found | {"detail": "; ".join(filter(None, (found.get("detail"), row["detail"])))}
     ended = handed.reason in ("raised", "died")  # which says nothing of how long it takes
     row["timing"] = {
         "seconds": None if ended else handed.seconds,
@@ -99,15 +111,34 @@ def compete(task: WorkItem) -> Row:
     return row
 
 
-def _check_same_code(method: Method, task: WorkItem) -> None:
+def _check_same_code(code: str) -> None:
     """Rows are kept by the code that made them: a cluster that was not updated, or sources that were changed
-    during the run, would make others."""
-    if task["code"] not in ("", code_version()):
-        raise BenchmarkError(f"a worker runs retract {code_version()}, the work is for {task['code']}")
+    during the run, would make others. Raises BenchmarkError."""
+    if code not in ("", code_version()):
+        raise BenchmarkError(f"a worker runs retract {code_version()}, the work is for {code}")
+
+
+def _check_same_method(method: Method) -> None:
+    """Likewise for the files of a method from elsewhere."""
     if method.kind == "external" and found_at(method.name, Path(method.folder))[1] != method.content:
         raise BenchmarkError(
             f"{method.name}: its files have changed since the run began; start again, with its rows anew"
         )
+
+
+def _check_there(task: WorkItem) -> None:
+    """All of that where a method is about to work: a process has the sources as they were when it began."""
+    method = method_of(task)
+    _check_same_code(task["code"])
+    _check_same_method(method)
+    if method.kind == "external":
+        check_importable(method.name, Path(method.folder))
+
+
+def _checked(answer: Answer) -> None:
+    """What another process says of such a check. Raises BenchmarkError."""
+    if answer.trouble:
+        raise BenchmarkError(f"a process for the benchmark: {answer.trouble} {answer.detail}")
 
 
 def _handed(answer: Answer, limit: float) -> HandedIn:
@@ -116,16 +147,36 @@ def _handed(answer: Answer, limit: float) -> HandedIn:
     return HandedIn.from_json(answer.value)
 
 
-def _also(ask: Ask, work: Callable[[WorkItem], Row], task: WorkItem, name: str) -> Any:
-    """What else a policy is asked for: what came of it, or what went wrong. None where it has no answer."""
-    answer = ask(work, task)
+def _also(row: Row, ask: Ask, work: Callable[[WorkItem], Row], task: WorkItem) -> None:
+    """Ask what else a policy is asked for, within a limit of its own; what went wrong is a failure there, and
+    told in the row's detail."""
+    answer = ask(work, task, task["limit"])
+    if not answer.trouble:
+        row |= answer.value
+        return
+    name, failed = ("transfer", answer.trouble) if work is transferred else ("closed_loop", 0.0)
+    said = f"{name.replace('_', ' ')}: {answer.trouble} {answer.detail}"
+    row |= {name: failed, "detail": "; ".join(filter(None, (row["detail"], said)))}
+
+
+def _judged_beside(handed: HandedIn, task: WorkItem) -> Row:
+    """`_verdict_on`, in the other process. What cannot be judged there within the limit is not certified."""
+    _checked(_BESIDE.call(_check_same_code, task["code"], STARTING))
+    answer = _BESIDE.call(_verdict_there, {"handed": handed.to_json(), "task": task}, JUDGING)
     if answer.trouble:
-        return answer.trouble if name == "transfer" else 0.0
-    return answer.value[name]
+        return {"reason": "returned", "detail": f"the certifier: {answer.trouble} {answer.detail}"}
+    row: Row = answer.value
+    return row
 
 
-def _judged(scene: Scene, grasp: Grasp, path: JawPath, task: WorkItem) -> Row:
-    """What the certifier says, and what the plan survives."""
+def _verdict_there(asked: Mapping[str, Any]) -> Row:
+    return _verdict_on(HandedIn.from_json(asked["handed"]), asked["task"])
+
+
+def _verdict_on(handed: HandedIn, task: WorkItem) -> Row:
+    """What the certifier says of what was handed in, and what the plan survives."""
+    scene, grasp, path = Scene.from_data(task["scene"]), handed.grasp, handed.path
+    assert grasp is not None and path is not None
     try:
         judged = certify(scene, grasp, path, task["resolution"])
     except ValueError as problem:  # off the flap, not from there, or nothing that can be meshed
@@ -153,7 +204,7 @@ def _survival(scene: Scene, grasp: Grasp, path: JawPath, judged: Certificate, ta
         "survival_judged": found.judged,
         "survival_undecided": found.undecided,
     }
-    if found.share >= ENOUGH:
+    if found.nearly_all:
         return row | {"firm_part": 1.0, "firm_strain": judged.max_strain}
     firm = made_firm(scene, grasp, path, judged.history, z, asked["judged"], task["resolution"])
     return row if firm is None else row | {"firm_part": firm[0], "firm_strain": firm[1]}

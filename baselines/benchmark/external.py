@@ -8,9 +8,10 @@ is found out from files, and `handed_in` runs in a process of its own.
 from __future__ import annotations
 
 import hashlib
+import json
 import symtable
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from importlib import import_module
 from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
@@ -40,6 +41,27 @@ def found_at(named: str, first: Path | None = None) -> tuple[Path, str]:
     Of a package every file counts, weights too, but what Python compiled; of a module by itself its file.
     Raises BenchmarkError.
     """
+    top = _top_of(named, first)
+    digest = hashlib.sha256()
+    for source in _sources(top):
+        digest.update(f"{source.relative_to(top.parent).as_posix()}\0".encode())
+        digest.update(source.read_bytes())
+    return top.parent, digest.hexdigest()[:16]
+
+
+def check_importable(named: str, first: Path) -> None:
+    """Raise BenchmarkError where another module of that name was imported here before, which Python would
+    take in its place."""
+    top, name = _top_of(named, first), named.partition(":")[0].partition(".")[0]
+    spec = getattr(sys.modules.get(name), "__spec__", None)
+    if spec is not None and _top(spec) != top:
+        raise BenchmarkError(
+            f"method = {named!r}: this program has another module {name!r}, {spec.origin}; rename {top}"
+        )
+
+
+def _top_of(named: str, first: Path | None) -> Path:
+    """The folder of the package of "module:name", or the file of the module. Raises BenchmarkError."""
     module, _, name = named.partition(":")
     parts = module.split(".")
     if not all(part.isidentifier() for part in [*parts, name]):
@@ -54,12 +76,7 @@ def found_at(named: str, first: Path | None = None) -> tuple[Path, str]:
         raise BenchmarkError(f"method = {named!r}: there is no module {module!r}")
     if file.suffix == ".py" and not _binds(file, name):
         raise BenchmarkError(f"method = {named!r}: {file} has no {name!r}")
-    top = _top(spec)
-    digest = hashlib.sha256()
-    for source in _sources(top):
-        digest.update(f"{source.relative_to(top.parent).as_posix()}\0".encode())
-        digest.update(source.read_bytes())
-    return top.parent, digest.hexdigest()[:16]
+    return _top(spec)
 
 
 def _top(spec: ModuleSpec) -> Path:
@@ -131,6 +148,22 @@ def understood(found: Any) -> tuple[Grasp, JawPath] | Callable[[Any], Any]:
         return found
     what = f"({', '.join(type(part).__name__ for part in found)})" if pair else brief(found)
     raise Nonsense(f"{what}, allowed {ALLOWED}")
+
+
+def settings_of(policy: Any) -> dict[str, Any]:
+    """What a policy's attribute `env` says, {"kwargs": {...}}, of the environment that it is for; nothing
+    where it has none. Raises Nonsense."""
+    env = getattr(policy, "env", None)
+    if env is None:
+        return {}
+    kwargs = env.get("kwargs", {}) if isinstance(env, Mapping) else None
+    try:
+        plain = json.loads(json.dumps(kwargs, allow_nan=False))
+    except (TypeError, ValueError, RecursionError):
+        plain = None
+    if not isinstance(plain, dict):
+        raise Nonsense(f'its attribute env = {brief(env)}, allowed {{"kwargs": {{...}}}}, plain data')
+    return plain
 
 
 def checked(action: Any) -> Any:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections import ChainMap
 from collections.abc import Callable, MutableMapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from baselines.benchmark.external import found_at
-from baselines.jobs.journal import WorkItem
+from baselines.jobs.journal import PLACE, WorkItem
 from baselines.learning.policies import JSON, TENSORS, load_policy, policy_folder
 from planners import PLANNERS
 from planners.base import Plan
@@ -73,8 +73,15 @@ class Method:
         return cls("external", named, 0, str(folder), content)
 
 
-def work_item(**item: Any) -> dict[str, Any]:
+def method_of(item: WorkItem) -> Method:
+    """Who is to do it."""
+    return Method(**item["method"], folder=item[PLACE])
+
+
+def work_item(method: Method, **item: Any) -> dict[str, Any]:
     """A task of `baselines.benchmark.contest.compete`, plain data, with defaults for what is not said."""
+    said = asdict(method)
+    place = said.pop("folder")
     defaults: dict[str, Any] = {
         "split": "",
         "split_version": 0,
@@ -91,6 +98,6 @@ def work_item(**item: Any) -> dict[str, Any]:
         "transfer": False,
         "code": "",
     }
-    if unknown := item.keys() - defaults.keys() - {"method", "scene"}:
+    if unknown := item.keys() - defaults.keys() - {"scene"}:
         raise ValueError(f"work_item: unknown {', '.join(sorted(unknown))}")
-    return defaults | item
+    return defaults | item | {"method": said, PLACE: place}

@@ -24,11 +24,12 @@ all or none.
 **certified**: share of scenes whose retraction the certifier passes on its mesh `{resolution}`.
 **survival**: share of {draws} fresh draws of what each scene leaves unknown under which the plan still holds,
 none where it is not certified; by the corrected rod, where that cannot decide by finite elements on up to
-{judged} draws a plan, and by the rod's word on the others.
+{judged} draws a plan, and by the rod's word on the others; where the rod cannot follow the plan, of the first
+{judged} draws alone.
 **excess**: strain over the least certified one that is known for the scene, less 1; median where certified.
 **at 99 % survival**: the same with the strain that it takes to survive 99 % of the draws: the plan's own
 where it does, else that of the same place and motion held more firmly; median where there is such a grip, and
-the share of scenes where there is.
+the share of scenes where there is. None where survival is of the first {judged} draws alone.
 **time**: median until grasp and path are handed in, on one thread; {limit:g} s are allowed, and more is a
 failure (`time`). **decision**: mean time of one action of a policy. **Bullet**: share of scenes where the
 policy succeeds in `TissueRetract-v0`, played there without retraining.{closed_loop}
@@ -39,7 +40,8 @@ left) and **clearance**: medians where certified. **FEM**: mean equilibria compu
 handed in. `raised`, `returned` and `died`: what became of a method whose answer cannot be judged. Nothing
 here was chosen by its results on these scenes."""
 CLOSED_LOOP = """
-**closed loop**: share of draws, {played} a scene, on which a policy succeeds if it sees what happens."""
+**closed loop**: share of draws, {played} a scene, on which a policy succeeds if it sees what happens.
+There and on Bullet, a policy that hands nothing in on a scene has failed on it."""
 YOUR_OWN = """\
 Any function of a scene that returns a grasp and a path, or a policy, is judged like these: with this as a
 module `mine` in the folder where it is called, by `retract benchmark --method mine:lift`.
@@ -122,9 +124,13 @@ def in_text(summary: Sequence[Summary], names: Sequence[str] | None = None) -> s
 
 def troubles(rows: Sequence[Row]) -> list[str]:
     """What went wrong with answers that could not be judged, a line each with how often."""
-    found = Counter((r["method"], r["reason"], r["detail"]) for r in rows if r["reason"] in TROUBLES)
+    found = Counter(
+        (r["method"], r["reason"] if r["reason"] in TROUBLES else "", r["detail"])
+        for r in rows
+        if r["reason"] in TROUBLES or r["detail"]
+    )
     return [
-        f"{method}: {reason}{f' {detail}' if detail else ''}, {count} times"
+        f"{method}: {' '.join(filter(None, (reason, detail)))}, {count} times"
         for (method, reason, detail), count in sorted(found.items(), key=lambda item: (item[0][0], -item[1]))
     ]
 
@@ -158,11 +164,11 @@ def _shares(interval: Interval) -> str:
 
 
 def _percent(share: float) -> str:
-    """Whole per cent, but neither 0 nor 100 for what is nearly so."""
+    """Whole per cent, but for what is nearly none or all with the digits, three at most, that show it."""
     if math.isnan(share):
         return ""
-    nearly = share not in (0, 1) and round(share, 2) in (0, 1)
-    return f"{100 * share:.{1 if nearly else 0}f} %"
+    texts = [f"{100 * share:.{digits}f}" for digits in range(4)]
+    return next((text for text in texts if float(text) not in (0, 100)), texts[0]) + " %"
 
 
 def _number(value: float, digits: int) -> str:

@@ -89,6 +89,7 @@ def summaries(
     best: strain to compare with, by the scene's hash; None where there is none for some scene: then there
     are no scores. seed, bootstrap: of the intervals.
     """
+    rows = _with_what_was_not_played(rows)
     table = _tables(rows)
     reference = {row["number"] for row in rows if row["method"] == REFERENCE and row["certified"]}
 
@@ -164,6 +165,19 @@ def intervals(
     finally:
         np.random.set_state(state)  # noqa: NPY002
     return {n: Interval(float(points[n][0]), float(ends[n][0, 0]), float(ends[n][1, 0])) for n in values}
+
+
+def _with_what_was_not_played(rows: Sequence[Row]) -> list[Row]:
+    """The rows, with a failure where a method that plays elsewhere handed nothing in: by crashing on hard
+    scenes it would else leave them out of what is said of its play."""
+    failed = {"closed_loop": 0.0, "transfer": "not_played"}
+    plays = {(row["method"], name) for row in rows for name in failed if row[name] is not None}
+    return [
+        row
+        if row["max_strain"] is not None
+        else row | {n: f for n, f in failed.items() if row[n] is None and (row["method"], n) in plays}
+        for row in rows
+    ]
 
 
 def _tables(rows: Sequence[Row]) -> dict[str, list[list[Row]]]:

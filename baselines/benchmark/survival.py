@@ -53,6 +53,13 @@ class Survived:
     """of them by finite elements"""
     undecided: int = 0
     """of them neither by finite elements nor by the rod with the margin that its word needs"""
+    few: bool = False
+    """whether they are the first few alone, by finite elements, as the rod cannot follow the plan"""
+
+    @property
+    def nearly_all(self) -> bool:
+        """Whether so many survive that grips are compared; a few draws cannot tell."""
+        return self.share >= ENOUGH and not self.few
 
 
 def by_rod(
@@ -78,7 +85,7 @@ def survived(scene: Scene, grasp: Grasp, path: JawPath, history: History, z: Arr
     corrected = corrected_by(scene, grasp, path, history)
     if corrected is None:
         ends = [outcome(scene, grasp, path, one, ON) for one in z[:most]]
-        return Survived(ends.count("ok") / max(1, len(ends)), len(ends), len(ends))
+        return Survived(ends.count("ok") / max(1, len(ends)), len(ends), len(ends), few=True)
     level, reason = by_rod(scene, grasp, path, corrected, z)
     holds = reason == "ok"
     held = (level > 0) & (exceeded(np.maximum(level, 0.0)) <= RARE)
@@ -145,7 +152,7 @@ def made_firm(
             judged = certify(scene, *held, resolution)
         except MeshError:
             continue
-        if judged.certified and survived(scene, *held, judged.history, z, most).share >= ENOUGH:
+        if judged.certified and survived(scene, *held, judged.history, z, most).nearly_all:
             return part, judged.max_strain
     return None
 

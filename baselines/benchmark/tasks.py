@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict
 from difflib import get_close_matches
 from importlib.util import find_spec
 from pathlib import Path
@@ -94,7 +93,7 @@ def tasks_of(
         for number, scene in enumerate(split.scenes(int(count) if colon else most)):
             tasks += [
                 work_item(
-                    method=asdict(method),
+                    method=method,
                     split=name,
                     split_version=split.version,
                     split_hash=split.hash,

@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from retract_env.errors import ConfigError
 from retract_env.threads import single_threaded
 
 if TYPE_CHECKING:
@@ -30,8 +31,14 @@ if TYPE_CHECKING:
 
 STARTING = 300.0
 """s, at most, until a process has begun: an interpreter and what the work imports, on a busy machine."""
+LOOK = 1.0
+"""s between looks at whether a process still lives, which what it began may hide: it holds the same pipes."""
 LONGEST_WORD = 300
 """characters of an exception's text"""
+
+
+class ApartError(ConfigError):
+    """A process that could not be begun: the machine's trouble, not the work's. The message is one line."""
 
 
 @dataclass(frozen=True)
@@ -66,10 +73,10 @@ class Apart:
         self.close()
 
     def call(self, function: Callable[[Any], Any], argument: Any, limit: float) -> Answer:
-        """function: of a module, from what can be pickled to plain data; limit: s."""
+        """function: of a module, from what can be pickled to plain data; limit: s. Raises ApartError."""
         try:
-            if self._process is None and (trouble := self._start()) is not None:
-                return trouble
+            if self._process is None:
+                self._start()
             assert self._connection is not None
             with suppress(BrokenPipeError):  # it has died since
                 self._connection.send((function, argument))
@@ -79,20 +86,21 @@ class Apart:
             raise
 
     def close(self) -> None:
-        """End the process, and those that it began."""
+        """End the process, and those that it began, which outlive it where it died."""
         if self._process is not None:
-            if self._process.pid is not None and self._process.is_alive() and hasattr(os, "killpg"):
-                with suppress(ProcessLookupError, PermissionError):  # not a leader yet: it is killed below
-                    os.killpg(self._process.pid, signal.SIGKILL)
-            self._process.kill()
-            self._process.join()
+            if self._process.pid is not None:  # it was begun
+                if hasattr(os, "killpg"):
+                    with suppress(ProcessLookupError, PermissionError):  # none is left, or no leader yet
+                        os.killpg(self._process.pid, signal.SIGKILL)
+                self._process.kill()
+                self._process.join()
             self._process.close()
         if self._connection is not None:
             self._connection.close()
         self._process = self._connection = None
 
-    def _start(self) -> Answer | None:
-        """Begin the process; what went wrong, if anything."""
+    def _start(self) -> None:
+        """Begin the process. Raises ApartError."""
         spawn = multiprocessing.get_context("spawn")
         here, there = spawn.Pipe()
         self._connection = here
@@ -103,21 +111,23 @@ class Apart:
             self._process.start()
         there.close()
         begun = self._answer(STARTING)
-        return begun if begun.trouble else None
+        if begun.trouble:
+            raise ApartError(f"a process could not be begun: {begun.trouble}, {begun.detail}")
 
     def _answer(self, limit: float) -> Answer:
         """What the process says within the limit; it is ended where it says nothing."""
         assert self._connection is not None
         end = time.monotonic() + limit
         while (left := end - time.monotonic()) > 0:
-            ready = multiprocessing.connection.wait([self._connection, self._process.sentinel], left)
+            both = [self._connection, self._process.sentinel]
+            ready = multiprocessing.connection.wait(both, min(left, LOOK))
             if self._connection in ready:
                 try:
                     said = json.loads(self._connection.recv_bytes())
                     return Answer(said["value"], said["trouble"], said["detail"])
                 except (EOFError, OSError, ValueError, TypeError, KeyError):
                     break  # it died in the middle of a word
-            if ready:
+            if ready or not (self._process.is_alive() or self._connection.poll()):
                 break
         else:
             self.close()

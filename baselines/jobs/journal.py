@@ -1,8 +1,9 @@
 """Many independent tasks on several workers, their results kept in a journal as they come.
 
-A task is plain JSON data; its key is the hash of that. The journal is one line of JSON a task. Whoever runs
-the same tasks again does only what the journal lacks, so that a run that was killed loses what was under way
-and nothing else. Results come back in the order of the tasks, whatever the number of workers.
+A task is plain JSON data; its key is the hash of that, but for its `place`. The journal is one line of JSON a
+task. Whoever runs the same tasks again does only what the journal lacks, so that a run that was killed loses
+what was under way and nothing else. Results come back in the order of the tasks, whatever the number of
+workers.
 """
 
 from __future__ import annotations
@@ -24,6 +25,9 @@ from retract_env.threads import single_threaded
 
 WorkItem = Mapping[str, Any]
 """One piece of work: all that its result depends on, as plain JSON data."""
+PLACE = "place"
+"""What else a task may say: where on this machine the files lie whose contents it names. No result depends on
+that, so that whoever moves them goes on with the same rows."""
 Row = dict[str, Any]
 Work = Callable[[WorkItem], Row]
 OnRow = Callable[[Row], None]
@@ -37,8 +41,9 @@ class JournalError(ConfigError):
 
 
 def key_of(task: WorkItem) -> str:
-    """SHA-256, hex, of a task."""
-    return hashlib.sha256(json.dumps(task, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+    """SHA-256, hex, of a task without its place."""
+    said = {name: value for name, value in task.items() if name != PLACE}
+    return hashlib.sha256(json.dumps(said, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
 class Journal:

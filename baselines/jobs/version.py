@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from functools import cache
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import retract_env
@@ -23,12 +24,25 @@ NO_RESULTS = (
 """What draws, talks and compares: no number that is kept depends on it. A policy has a hash of its own."""
 DATA = (".py", ".json")
 """Endings of what numbers depend on: sources, and what was measured once and ships with them."""
+LIBRARIES = ("numba", "netgen-mesher", "numpy", "pybullet", "pypardiso", "qdldl", "scipy", "shapely")
+"""Whose numbers results are made of: another version of one may round otherwise, or draw another mesh."""
 
 
 @cache
 def code_version() -> str:
-    """The version, and a digest of all sources and measured data that results come from."""
-    return f"{retract_env.__version__}+{digest_of(Path(retract_env.__file__).parents[1])[:12]}"
+    """The version, and a digest of all that results come from: sources, measured data, and the versions of
+    the libraries that compute."""
+    digest = hashlib.sha256(digest_of(Path(retract_env.__file__).parents[1]).encode())
+    digest.update(" ".join(f"{name} {_installed(name)}" for name in LIBRARIES).encode())
+    return f"{retract_env.__version__}+{digest.hexdigest()[:12]}"
+
+
+def _installed(library: str) -> str:
+    """Its version; empty where it is not there."""
+    try:
+        return version(library)
+    except PackageNotFoundError:
+        return ""
 
 
 def digest_of(root: Path) -> str:

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
 
-from baselines.benchmark import attempts
+from baselines.benchmark import attempts, contest
 from baselines.benchmark.attempts import led_out
 from baselines.benchmark.contest import compete
 from baselines.benchmark.methods import COMPETING, Method, work_item
@@ -40,7 +42,7 @@ def benchmark() -> Benchmark:
 def coarse(method: Method, scene: dict[str, Any], **changes: Any) -> dict[str, Any]:
     """A task that is judged on the coarse mesh."""
     asked: dict[str, Any] = {"split": "test", "resolution": "coarse", "lead_out": 3, "limit": 300.0}
-    return work_item(method=asdict(method), scene=scene, **(asked | changes))
+    return work_item(method=method, scene=scene, **(asked | changes))
 
 
 # --- Splits
@@ -70,7 +72,7 @@ def test_a_change_of_the_scenes_is_noticed() -> None:
     data["splits"]["validation"]["seed"] = 20
     changed = Benchmark.from_data(data)
     with pytest.raises(BenchmarkError, match=r"^hash = '[0-9a-f]{16}', but these scenes have '[0-9a-f]{16}'"):
-        changed.splits["validation"].scenes()
+        changed.splits["validation"].scenes(2)  # a try on some says the same hash
 
 
 @pytest.mark.parametrize(
@@ -223,6 +225,8 @@ def test_a_row_is_kept_by_all_that_it_depends_on(benchmark: Benchmark) -> None:
     ]
     keys = {key_of(tasks_of(b, [m], ["validation"], 1)[0]) for b, m in others}
     assert len(keys) == 4 and key_of(task) not in keys
+    moved = replace(method, folder="elsewhere")  # the same files by their hash
+    assert key_of(tasks_of(benchmark, [moved], ["validation"], 1)[0]) == key_of(task)
     with pytest.raises(BenchmarkError, match=r"^limit = 0 s?, allowed \[1, 86400\] s"):
         benchmark.limited_to(0)
 
@@ -232,6 +236,36 @@ def test_a_planner_that_takes_too_long_loses_that_row_only() -> None:
     assert (row["certified"], row["reason"], row["detail"]) == (False, "time", "nothing within 0.2 s")
     assert row["timing"]["seconds"] == 0.2
     assert compete(coarse(Method("planner", "ctc"), easy_scene()))["certified"]
+
+
+def test_a_planner_works_with_the_code_that_the_work_is_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Which its process reads when it begins, be it after a change."""
+    monkeypatch.setattr(contest, "code_version", lambda: "1.0+old")
+    with pytest.raises(BenchmarkError, match=r"a worker runs retract .*, the work is for 1\.0\+old"):
+        compete(coarse(Method("planner", "ctc"), easy_scene(), code="1.0+old"))
+
+
+@pytest.mark.parametrize("work", [attempts.hand_in, attempts.transferred, attempts.played_on_draws])
+def test_no_two_scenes_have_the_same_noise(work: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    seeds: list[int | None] = []
+
+    class Begun(Exception):
+        pass
+
+    def rollout(env: Any, policy: Any, seed: int | None = None, options: Any = None) -> None:
+        seeds.append(seed)
+        raise Begun
+
+    monkeypatch.setattr(attempts, "rollout", rollout)
+    monkeypatch.setattr(attempts, "gym", SimpleNamespace(make=lambda *_, **__: MagicMock()))
+    scene = default_scene()
+    for number in (0, 1):
+        task = coarse(
+            Method("nothing", "nothing"), scene.dump(), number=number, played=2, survival={"seed": 5}
+        )
+        with pytest.raises(Begun):
+            work(task)
+    assert len(set(seeds)) == 2 and None not in seeds
 
 
 @pytest.mark.slow

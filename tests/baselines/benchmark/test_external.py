@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import os
-from dataclasses import asdict
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
+from baselines.benchmark import contest
 from baselines.benchmark.contest import compete
+from baselines.benchmark.external import Nonsense, settings_of
 from baselines.benchmark.methods import Method, work_item
 from baselines.benchmark.splits import BenchmarkError
 from baselines.jobs.journal import run_tasks
@@ -69,6 +72,14 @@ class Up:
 def wrong(scene):
     return lambda observation: [1.0, 2.0]
 
+played = []
+
+def once(scene):
+    if played:
+        raise KeyError("no more")
+    played.append(scene)
+    return Up(scene)
+
 def blind(scene):
     return lambda observation: observation["image"]
 """
@@ -84,7 +95,7 @@ def toys(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def task(name: str, **changes: Any) -> dict[str, Any]:
     asked: dict[str, Any] = {"scene": default_scene().dump(), "resolution": "coarse", "limit": 60.0}
-    return work_item(**({"method": asdict(Method.external(name))} | asked | changes))
+    return work_item(**({"method": Method.external(name)} | asked | changes))
 
 
 def test_a_plan_is_judged_like_ours(toys: Path) -> None:
@@ -124,6 +135,39 @@ def test_one_that_hangs_is_ended(toys: Path) -> None:
     assert (row["certified"], row["reason"], row["detail"]) == (False, "time", "nothing within 2 s")
 
 
+def test_what_the_certifier_cannot_judge_is_not_certified(
+    toys: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It has a limit, as what comes from elsewhere may take it for ever."""
+    monkeypatch.setattr(contest, "JUDGING", 0.01)
+    row = compete(task("toys:good"))
+    said = "the certifier: time nothing within 0.01 s"
+    assert (row["certified"], row["reason"], row["detail"]) == (False, "returned", said)
+
+
+def test_what_goes_wrong_in_play_is_told(toys: Path) -> None:
+    """A policy that acts for as long as it hands in, and never again."""
+    survival = {"draws": 1, "seed": 53_000_001, "judged": 0}
+    row = compete(task("toys:once", played=1, survival=survival))
+    assert row["decisions"] > 0 and row["closed_loop"] == 0
+    assert row["detail"].startswith("closed loop: raised KeyError: 'no more' (toys.py, line ")
+
+
+def test_a_module_that_another_stands_in_for_is_refused(toys: Path) -> None:
+    (toys / "yaml.py").write_text(TOYS)
+    with pytest.raises(BenchmarkError, match=r"method = 'yaml:good': this program has another module 'yaml'"):
+        compete(task("yaml:good"))
+
+
+@pytest.mark.parametrize(
+    "env", ["rod", {"kwargs": [1]}, {"kwargs": {"task": {1, 2}}}, {"kwargs": np.zeros(3)}]
+)
+def test_settings_of_a_policy_are_plain_data(env: Any) -> None:
+    with pytest.raises(Nonsense, match=r"^its attribute env = .*, allowed \{\"kwargs\": \{\.\.\.\}\}"):
+        settings_of(SimpleNamespace(env=env))
+    assert settings_of(SimpleNamespace()) == settings_of(SimpleNamespace(env=None)) == {}
+
+
 def test_a_policy_plays(toys: Path, capfd: pytest.CaptureFixture[str]) -> None:
     row = compete(task("toys:Up"))
     assert row["decisions"] == row["evaluations"] > 1 and row["max_strain"] > 0
@@ -150,7 +194,7 @@ def test_rows_are_kept_by_its_sources(toys: Path) -> None:
         (folder / "__init__.py").write_text("")
     (package / "mine.py").write_text("def f(scene): ...\n")
     with pytest.raises(BenchmarkError, match=r"^toys:good: its files have changed since the run began"):
-        compete(task("toys:good", method=asdict(before)))
+        compete(task("toys:good", method=before))
     contents = [Method.external("pack.inner.mine:f").content]
     for other in ("weights.bin", "other.py"):
         (package.parent / other).write_text("1")

@@ -152,7 +152,17 @@ def test_the_report_is_whole(rows: list[Row], benchmark: Benchmark, tmp_path: Pa
 
 @pytest.mark.parametrize(
     ("share", "text"),
-    [(0, "0 %"), (1, "100 %"), (1 / 300, "0.3 %"), (299 / 300, "99.7 %"), (0.124, "12 %"), (np.nan, "")],
+    [
+        (0, "0 %"),
+        (1, "100 %"),
+        (1 / 300, "0.3 %"),
+        (0.005, "0.5 %"),
+        (0.995, "99.5 %"),
+        (0.9996, "99.96 %"),
+        (299 / 300, "99.7 %"),
+        (0.124, "12 %"),
+        (np.nan, ""),
+    ],
 )
 def test_nearly_all_is_not_all(share: float, text: str) -> None:
     from baselines.benchmark.ranking import _percent
@@ -175,6 +185,19 @@ def test_a_report_that_fails_leaves_the_old_one(
         report.write_report(rows, tmp_path, benchmark, "", {}, {})
     assert [file.name for file in tmp_path.iterdir()] == ["benchmark.csv"]
     assert (tmp_path / "benchmark.csv").read_text() == "old"
+
+
+def test_who_crashes_on_hard_scenes_plays_no_better_for_it() -> None:
+    """Nothing handed in by what plays elsewhere counts as a failure there; a planner plays nowhere."""
+    pytest.importorskip("rliable")
+    from baselines.benchmark.scores import summaries
+
+    played: dict[str, Any] = {"closed_loop": 0.8, "transfer": "ok"}
+    crashed = made_up("mine:f", [None], reason="raised", max_strain=None)[0] | {"number": 1}
+    rows = [*made_up("mine:f", [0.2], **played), crashed, *made_up("ctc", [None], max_strain=None)]
+    found = {one.method: one for one in summaries(rows, None, 0, 50)}
+    assert (found["mine:f"].closed_loop.value, found["mine:f"].transfer) == pytest.approx((0.4, 0.5))
+    assert np.isnan(found["ctc"].closed_loop.value) and np.isnan(found["ctc"].transfer)
 
 
 def test_methods_are_ranked_by_certified_then_survival_then_excess() -> None:

@@ -13,7 +13,8 @@ from typing import Any
 
 import pytest
 
-from baselines.jobs.apart import Apart, in_one_line
+from baselines.jobs import apart as module
+from baselines.jobs.apart import Apart, ApartError, in_one_line
 
 
 def square(n: int) -> int:
@@ -60,6 +61,24 @@ def chatter(file: str) -> None:
     time.sleep(1000)
 
 
+def fork_and_leave(file: str) -> None:
+    """Leave a process behind that holds all the pipes; its number goes into the file."""
+    if (child := os.fork()) == 0:
+        time.sleep(1000)
+    Path(file).write_text(str(child))
+    os._exit(3)
+
+
+def goes_on(file: Path) -> bool:
+    """Whether the process whose number is in the file outlives its parent by five seconds."""
+    status = Path(f"/proc/{file.read_text()}/stat")
+    for _ in range(100):  # whoever inherits it may take a moment to bury it
+        if not status.exists() or status.read_text().split()[2] == "Z":
+            return False
+        time.sleep(0.05)
+    return True
+
+
 def test_what_it_does_is_done_one_after_the_other_in_another_process() -> None:
     with Apart() as apart:
         assert apart.call(square, 3, 60).value == 9
@@ -94,14 +113,28 @@ def test_who_hangs_is_ended_with_all_that_it_began(tmp_path: Path, capfd: pytest
         assert (answer.trouble, answer.detail) == ("time", "nothing within 3 s")
         assert apart.call(square, 2, 60).value == 4
     assert capfd.readouterr().out == ""
-    child = int(file.read_text())
-    for _ in range(100):  # whoever inherits it may take a moment to bury it
-        status = Path(f"/proc/{child}/stat")
-        if not status.exists() or status.read_text().split()[2] == "Z":
-            break
-        time.sleep(0.05)
-    else:
-        pytest.fail("the process that it began goes on")
+    assert not goes_on(file)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="process groups are POSIX's")
+def test_who_dies_is_missed_at_once_and_ended_with_all_that_it_began(tmp_path: Path) -> None:
+    """Though what it began keeps its pipes open."""
+    file = tmp_path / "pid"
+    with Apart(silent=True, may_fork=True) as apart:
+        answer = apart.call(fork_and_leave, str(file), 60)
+        assert (answer.trouble, answer.detail) == ("died", "exit code 3")
+        assert not goes_on(file)
+
+
+def test_a_process_that_cannot_be_begun_is_nobodys_failure(monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as short, Apart() as apart:
+        short.setattr(module, "STARTING", 1e-3)
+        with pytest.raises(ApartError, match=r"^a process could not be begun: time, nothing within 0.001 s$"):
+            apart.call(square, 3, 60)
+    with Apart() as apart:
+        monkeypatch.setattr("multiprocessing.context.SpawnProcess.start", fail)
+        with pytest.raises(ValueError, match="SpawnProcess"):  # what was wrong with it, and not with its end
+            apart.call(square, 3, 60)
 
 
 def test_a_long_word_is_cut() -> None:

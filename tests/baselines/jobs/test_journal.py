@@ -48,6 +48,10 @@ def test_a_key_does_not_depend_on_the_order_of_the_fields() -> None:
     assert key_of({"a": 1, "b": [2]}) == key_of({"b": [2], "a": 1}) != key_of({"a": 1, "b": [3]})
 
 
+def test_a_key_does_not_depend_on_where_files_lie() -> None:
+    assert key_of({"a": 1, "place": "here"}) == key_of({"a": 1, "place": "there"}) == key_of({"a": 1})
+
+
 def test_a_line_that_was_cut_off_is_done_again(tmp_path: Path) -> None:
     journal = tmp_path / "journal"
     run_tasks(tasks(tmp_path), square, journal)

@@ -5,10 +5,12 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
+from importlib.metadata import version as installed
 from pathlib import Path
 
 import pytest
 
+from baselines.jobs import version
 from baselines.jobs.version import DATA, NO_RESULTS, PACKAGES, code_version, digest_of
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -71,6 +73,12 @@ def test_a_change_of_what_draws_and_talks_is_none(copy: Path) -> None:
     quiet = [name for name in sources(copy) if name.startswith(NO_RESULTS)]
     assert {name.split("/")[1] for name in quiet} == {"drawing", "pictures", "cli", "benchmark", "learning"}
     assert all(changed(copy, name) == before for name in quiet)
+
+
+def test_another_version_of_what_computes_is_another_version(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = code_version()
+    monkeypatch.setattr(version, "version", lambda name: "0.1" if name == "numba" else installed(name))
+    assert version.code_version.__wrapped__() != before
 
 
 def test_an_installation_says_the_same_as_the_checkout(copy: Path) -> None:

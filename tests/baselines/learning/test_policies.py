@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import pickle
 from collections.abc import Callable
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -202,7 +201,7 @@ def test_a_shipped_policy_exposes_the_target() -> None:
     """Of a flap that no training has seen, and within the limits, by the certifier's word."""
     row = compete(
         work_item(
-            method=asdict(Method.trained(Path("bc-0"))),
+            method=Method.trained(Path("bc-0")),
             scene=default_scene().dump(),
             resolution="coarse",
             lead_out=3,
