@@ -75,6 +75,8 @@ class Apart:
     def call(self, function: Callable[[Any], Any], argument: Any, limit: float) -> Answer:
         """function: of a module, from what can be pickled to plain data; limit: s. Raises ApartError."""
         try:
+            if self._process is not None and not self._process.is_alive():
+                self.close()  # it died with nothing to do: of no work's doing
             if self._process is None:
                 self._start()
             assert self._connection is not None

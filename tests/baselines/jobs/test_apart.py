@@ -126,6 +126,13 @@ def test_who_dies_is_missed_at_once_and_ended_with_all_that_it_began(tmp_path: P
         assert not goes_on(file)
 
 
+def test_one_that_died_with_nothing_to_do_is_replaced() -> None:
+    with Apart() as apart:
+        os.kill(apart.call(process, None, 60).value, signal.SIGTERM)
+        apart._process.join(10)
+        assert apart.call(square, 3, 60).value == 9
+
+
 def test_a_process_that_cannot_be_begun_is_nobodys_failure(monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as short, Apart() as apart:
         short.setattr(module, "STARTING", 1e-3)
