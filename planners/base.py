@@ -22,7 +22,8 @@ TOO_COSTLY = "too costly"
 
 DISMISSED = "dismissed"
 """Reason of a candidate that the rod already shows to be no better than the best one, or to fail: its strain,
-friction and clearance are the rod's (`planners.foresight`)."""
+friction and clearance are the rod's (`planners.foresight`). Where no candidate is certified at least one
+other tells what the finite elements said."""
 
 
 @dataclass

@@ -47,8 +47,14 @@ class Foreseen:
     """whether it meets all objectives"""
     least_strain: float = 0.0
     """eps_max on finite elements is no less, but for one flap in a hundred"""
-    hopeless: bool = False
-    """whether it breaks a limit, or never shows the target, even with the margins"""
+    excess: float = -math.inf
+    """by how much it breaks the limit that it breaks most, as a part of it, even with the margins; negative
+    where it may hold, inf where it never shows the target"""
+
+    @property
+    def hopeless(self) -> bool:
+        """Whether it breaks a limit, or never shows the target, even with the margins."""
+        return self.excess > 0
 
 
 NOTHING = Foreseen(math.nan, math.nan, math.nan, holds=True)
@@ -117,6 +123,7 @@ def foreseen(felt: Array, whole: bool, length: float, limits: Limits, margin: Ma
     least_strain = (1 - margin.strain) * float(strain[:surely].max(initial=0.0))
     least_friction = float(friction[:surely].max(initial=0.0)) - margin.friction
     never = whole and surely == len(hidden)
+    excess = max(least_strain / limits.strain, least_friction / limits.friction) - 1
     most, needed = float(strain.max()), float(friction.max())
     sound = needed <= limits.friction and most <= limits.strain and not (felt[:, TOUCHES] > 0).any()
     return Foreseen(
@@ -125,5 +132,5 @@ def foreseen(felt: Array, whole: bool, length: float, limits: Limits, margin: Ma
         clearance=float(clearance[-1]),
         holds=bool(sound and clearance[-1] >= limits.clearance),
         least_strain=least_strain,
-        hopeless=bool(never or least_strain > limits.strain or least_friction > limits.friction),
+        excess=math.inf if never else excess,
     )

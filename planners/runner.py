@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 
 from planners.base import Candidate, Contestant
@@ -38,6 +39,14 @@ class Runner:
         """What its retraction will strain at least."""
         known = max(self.contestant.least_strain, self.foreseen.least_strain)
         return known if self.trial is None else max(known, self.trial.max_strain)
+
+    @property
+    def prospect(self) -> tuple[bool, float]:
+        """The less, the sooner it is moved: whether the rod finds a limit broken, and the strain as far as
+        rod and finite elements know it."""
+        by_rod = self.foreseen.strain
+        known = self.least_strain
+        return not self.foreseen.holds, known if math.isnan(by_rod) else max(by_rod, known)
 
 
 class Clock:

@@ -11,7 +11,7 @@ rod's margins do not cover:
 * "rod" (ours): follow all on the rod first (`planners.foresight`) and certify the best by that, so that there
   is a bound before anything else is squeezed; what by the rod, less its margin, strains more than the best
   certified one is dismissed without a mesh, and so is what breaks a limit by more than the margin. Where
-  nothing else is certified, the latter are tried after all.
+  nothing else is certified, one of the latter is tried after all, and the others only if it holds.
 
 Planners that learn from verdicts enter the same race as `Contestant`s: each hands in a grasp and a path, a
 plain `Trial` judges them at the scene's own limits, and the contestant hears the verdict.
@@ -26,7 +26,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 
 from planners.base import DISMISSED, TOO_COSTLY, Candidate, Contestant, NoPlan, Plan, Verdict, verdict_of
-from planners.certify import Trial
+from planners.certify import REASONS, Closed, Trial
 from planners.effort import TooCostly, within_budget
 from planners.foresight import NOTHING, foresee
 from planners.runner import Clock, Runner, Winner
@@ -38,8 +38,10 @@ from retract_env.scene import Scene
 from retract_env.threads import cores
 
 PRUNING = ("rod", "squeeze", "bound", "none")
-ROUNDING = 1e-5
-"""By what part the strain of a squeeze may differ where it is done in one increment."""
+CONFIRMING = frozenset(REASONS) - {"ok", "diverged"}
+"""Reasons that confirm what the rod says of a retraction that fails; others say nothing of the motion."""
+Grip = tuple[Grasp, bytes]
+"""What the jaws' closing depends on: the grasp and the closed pose."""
 OnUpdate = Callable[[Sequence[Candidate]], None]
 
 
@@ -107,6 +109,11 @@ def race(
     return Plan(scene, planner, best.grasp, best.path, best.certificate, candidates, timings)
 
 
+def grip_of(trial: Trial) -> Grip:
+    """The grip that a trial begins with."""
+    return trial.grasp, trial.path.waypoints[1].tobytes()
+
+
 # --- The race
 
 
@@ -143,6 +150,8 @@ class _Race:
         self.bound = math.inf
         self.leader: int | None = None
         """who is being moved although others are not squeezed yet"""
+        self.closed: dict[Grip, Closed] = {}
+        """of those that hand in one thing only: paths that begin with the same grip close the jaws once"""
         self.spare = workers + 1
         self.seconds: defaultdict[str, float] = defaultdict(float)
         self._lock = threading.Lock()
@@ -152,9 +161,9 @@ class _Race:
         self.move(i)
 
     def best_first(self) -> list[int]:
-        """Those that are squeezed, by what they will strain at least."""
+        """Those that are squeezed, the most promising first."""
         waiting = (i for i, candidate in enumerate(self.candidates) if candidate.status == "squeezed")
-        return sorted(waiting, key=lambda i: (self.runners[i].least_strain, i))
+        return sorted(waiting, key=lambda i: (self.runners[i].prospect, i))
 
     def foresee(self) -> None:
         """Follow on the rod what those hand in that hand in one thing only."""
@@ -166,8 +175,9 @@ class _Race:
         self.seconds["rod"] += time.perf_counter() - start
 
     def hopeful_first(self) -> Iterator[list[int]]:
-        """Those that may hold, the best by the rod first; then the others, which are dismissed if one of the
-        former was certified."""
+        """Those that may hold, the best by the rod first. The others are dismissed; but where none of the
+        former is certified, the rod's word is put to the test: that one is tried of which it is least sure.
+        Should it hold, the margins do not cover this flap, and all are tried."""
 
         def rank(i: int) -> tuple[bool, float, int]:
             foreseen = self.runners[i].foreseen
@@ -176,11 +186,17 @@ class _Race:
         order = sorted(range(len(self.runners)), key=rank)
         yield [i for i in order if not self.runners[i].foreseen.hopeless]
         hopeless = [i for i in order if self.runners[i].foreseen.hopeless]
-        if self.best is None:
-            yield hopeless
-        else:
-            for i in hopeless:
-                self._dismiss(i)
+        hopeless.sort(key=lambda i: self.runners[i].foreseen.excess)
+        while hopeless and self.best is None:
+            probe = hopeless.pop(0)
+            yield [probe]
+            if (said := self.candidates[probe].reason) in CONFIRMING:
+                break
+            if said == "ok":
+                yield hopeless
+                return
+        for i in hopeless:
+            self._dismiss(i)
 
     def lead_or_squeeze(self, i: int) -> None:
         """Move it to its end at once where that may set the bound; else only squeeze it."""
@@ -195,7 +211,7 @@ class _Race:
             self.both(i)
             self.leader = None
         else:
-            self.squeeze(i, at_once=True)
+            self.squeeze(i)
 
     def _dismissed(self, i: int) -> bool:
         """Whether, by the rod, it strains more than the best certified one, and so was dismissed."""
@@ -209,16 +225,11 @@ class _Race:
         self.runners[i].trial = None
         self._finish(i, Verdict(DISMISSED, foreseen.strain, foreseen.friction, foreseen.clearance))
 
-    def squeeze(self, i: int, at_once: bool = False) -> None:
-        """Let a contestant hand in what it begins with, and close the jaws on that.
-
-        at_once: in one increment, where nothing else is handed in: that bounds the strain for less, and is
-        done again, as the judge does it, should the turn to move come.
-        """
+    def squeeze(self, i: int) -> None:
+        """Let a contestant hand in what it begins with, and close the jaws on that."""
         self._tell(i, "squeezing")
         with Clock(self.candidates[i]):
-            content = self.runners[i].contestant.is_content
-            verdict = self._glance(i) if at_once and content else self._next(i, None)
+            verdict = self._next(i, None)
         if verdict is not None:
             self._finish(i, verdict)
         else:
@@ -276,35 +287,28 @@ class _Race:
             if verdict is None:
                 return None
 
-    def _glance(self, i: int) -> Verdict | None:
-        """Close the jaws in one increment; returns the verdict where the trial ends with that."""
-        runner = self.runners[i]
-        runner.trial = trial = Trial(self.scene, *next(runner.proposals), self.resolution)
-        try:
-            trial.squeeze(within_budget(trial, self.stop), increments=1)
-        except MeshError:
-            return Verdict("unmeshable")
-        except TooCostly:
-            return self._squeezed(runner)
-        self._account(runner)
-        if trial.ended:  # the judge closes the jaws in more increments
-            return self._squeezed(runner)
-        if trial.max_strain > (1 + ROUNDING) * self.bound:
-            return verdict_of(trial, "pruned")
-        trial.physics = None
-        return None
-
     def _squeezed(self, runner: Runner) -> Verdict | None:
-        """Close the jaws; returns the verdict where the trial ends with that."""
+        """Close the jaws; returns the verdict where the trial ends with that.
+
+        Where that was done already for another path, what was found is taken over, to the same bits.
+        """
         trial = runner.trial
         assert trial is not None
+        content = runner.contestant.is_content
+        if content and (known := self.closed.get(grip_of(trial))):
+            trial.close_as(known)
+            return None
         try:
             trial.squeeze(within_budget(trial, self.stop))
         except MeshError:
             return Verdict("unmeshable")
         except TooCostly:
             return verdict_of(trial, TOO_COSTLY)
-        return verdict_of(trial) if trial.ended else None
+        if trial.ended:
+            return verdict_of(trial)
+        if content:  # what strains more than the best one will not go on
+            self.closed[grip_of(trial)] = trial.closed(lasting=trial.max_strain <= self.bound)
+        return None
 
     def _retracted(self, runner: Runner, step: Callable[[], None]) -> Verdict:
         trial, known, doubt = runner.trial, runner.contestant.least_strain, runner.contestant.doubt
@@ -313,11 +317,13 @@ class _Race:
         def limit() -> float:
             return (1 + doubt) * self.bound
 
-        if known > self.bound or trial.max_strain > (1 + ROUNDING) * limit():
+        if known > self.bound or trial.max_strain > limit():
             return verdict_of(trial, "pruned")
         if trial.physics is None:
-            ended = self._squeezed(runner)
-            if ended is not None:
+            known_grip = self.closed.get(grip_of(trial))
+            if runner.contestant.is_content and known_grip is not None:
+                trial.go_on(known_grip)
+            elif (ended := self._squeezed(runner)) is not None:
                 return ended
         try:
             trial.move(limit, within_budget(trial, step))
@@ -350,7 +356,7 @@ class _Race:
         """Free what will hardly be needed: memory holds few factorised flaps.
 
         Of those that wait squeezed only the most promising ones keep their physics; should another's turn
-        come it is squeezed again, to the same bits.
+        come the jaws are closed again, to the same bits.
         """
         self._account(self.runners[i])
         with self._lock:
@@ -363,7 +369,7 @@ class _Race:
                 and runner.trial is not None
                 and runner.trial.physics is not None
             ]
-            for k in sorted(waiting, key=lambda k: (self.runners[k].least_strain, k))[self.spare :]:
+            for k in sorted(waiting, key=lambda k: (self.runners[k].prospect, k))[self.spare :]:
                 trial = self.runners[k].trial
                 if trial is not None:
                     trial.physics = None

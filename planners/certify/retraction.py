@@ -8,7 +8,8 @@ friction may be greater there than a tolerance (`peaks`), so that more increment
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
 
@@ -21,7 +22,7 @@ from retract_env.grasp import Grasp, JawPath
 from retract_env.mesh import RESOLUTIONS, patch_ends
 from retract_env.objectives import verdict
 from retract_env.physics.base import TissueState
-from retract_env.physics.fem import FemPhysics
+from retract_env.physics.fem import FemPhysics, FemState
 from retract_env.scene import Limits, Scene
 
 SQUEEZE_INCREMENTS = 4
@@ -41,6 +42,18 @@ MOST_LOOKS = 120
 """Equilibria between increments; a retraction that jumps about more than these can follow has diverged."""
 FARTHEST = 10.0
 """m, from the origin, that a path may lead; jaws as far away as that hold nothing any more."""
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Closed:
+    """A flap between closed jaws, before any motion: all paths that begin with this grip go on from it."""
+
+    frames: tuple[TissueState, ...]
+    shapes: tuple[NDArray[np.float64], ...] = ()
+    """(n,) m, displacements of each frame"""
+    state: FemState | None = None
+    counts: Mapping[str, int] = field(default_factory=dict)
+    """of the solver's work so far"""
 
 
 class Retraction:
@@ -100,14 +113,11 @@ class Retraction:
     def clearance(self) -> float:
         return self.frames[-1].clearance if self.frames else math.nan
 
-    def squeeze(
-        self, on_increment: Callable[[], None] = lambda: None, increments: int = SQUEEZE_INCREMENTS
-    ) -> None:
+    def squeeze(self, on_increment: Callable[[], None] = lambda: None) -> None:
         """Mesh the flap, let it rest on its bed and close the jaws; starts anew when called again.
 
         The strain of the squeeze bounds that of the whole retraction from below. on_increment: called after
-        each increment; what it raises ends the squeeze. increments: one costs least, and tells the strain to
-        a millionth. Raises MeshError.
+        each increment; what it raises ends the squeeze. Raises MeshError.
         """
         self.physics = physics = FemPhysics(self.scene, self.grasp.x, self.resolution, force=self.grasp.force)
         self.reason, self.max_strain, self.required_friction = None, 0.0, 0.0
@@ -117,12 +127,35 @@ class Retraction:
             self.frames, self._shapes = [physics.reset()], [physics.displacements]
         except Diverged:
             found = "diverged"
-        for part in np.linspace(0, 1, increments + 1)[1:]:
+        for part in np.linspace(0, 1, SQUEEZE_INCREMENTS + 1)[1:]:
             if found in (None, "ok"):
                 found = self._advance(float(part))
                 on_increment()
         physics.turn()
         self.reason = None if found == "ok" else found  # success is for `move` to say
+
+    def closed(self, lasting: bool = True) -> Closed:
+        """What `squeeze` came to; lasting: with all that `go_on` needs."""
+        assert self.physics is not None and not self.ended, "squeeze first"
+        if not lasting:
+            return Closed(tuple(self.frames))
+        counts = dict(self.physics.equilibrium.counts)
+        return Closed(tuple(self.frames), tuple(self._shapes), self.physics.get_state(), counts)
+
+    def close_as(self, closed: Closed) -> None:
+        """What `squeeze` would find, without a mesh; then `go_on` before `move`."""
+        self.physics, self.reason, self.max_strain, self.required_friction = None, None, 0.0, 0.0
+        self.frames, self._shapes = list(closed.frames), list(closed.shapes)
+        for state in self.frames:
+            self._measure(state)
+
+    def go_on(self, closed: Closed) -> None:
+        """As after `squeeze`, to the same bits, where the jaws were closed alike."""
+        assert closed.state is not None, "what does not last cannot go on"
+        self.close_as(closed)
+        self.physics = FemPhysics(self.scene, self.grasp.x, self.resolution, force=self.grasp.force)
+        self.physics.set_state(closed.state)
+        self.physics.equilibrium.counts.update(closed.counts)
 
     def move(
         self, bound: Callable[[], float] = lambda: math.inf, on_increment: Callable[[], None] = lambda: None
