@@ -50,7 +50,8 @@ def test_the_actions_are_those_of_the_docstring_and_of_the_code() -> None:
     assert documented == rows(inspect.cleandoc(TissueRetractEnv.__doc__ or ""), "Action Space")
     (x, compression, none), moves = documented[:3], documented[3:]
     assert x[3] == f"{0.5 + SLIVER:g} jaw widths before the fixed end" and none[1] == "none"
-    assert compression[2:] == [f"{share:g} height" for share in TaskConfig().compression]
+    light, firm = TaskConfig().compression
+    assert compression[2:] == [f"{light:g} s height", f"{firm:g} height"]
     steps = np.array([float(row[3].split()[0]) for row in moves]) * [1e-3, 1e-3, np.radians(1)]
     assert steps == pytest.approx(TaskConfig().move)
 

@@ -22,7 +22,7 @@ from baselines.benchmark.external import Nonsense, called, checked, settings_of,
 from baselines.benchmark.methods import COMPETING, UNTRAINED, Method, method_of
 from baselines.jobs.journal import Row, WorkItem
 from baselines.learning.policies import load_policy
-from planners.base import PROMISING, NoPlan
+from planners.base import DISMISSED, PROMISING, NoPlan
 from retract_env.grasp import Grasp, JawPath
 from retract_env.physics.registry import PHYSICS
 from retract_env.rollout import Decide, Rollout, rollout
@@ -105,7 +105,8 @@ def hand_in(task: WorkItem) -> Row:
         else:
             handed = _played(acting(method, task), scene, task)
     except NoPlan as none:
-        reasons = Counter(str(c.reason) for c in none.candidates if c.reason not in ("pruned", PROMISING))
+        unsaid = ("pruned", PROMISING, DISMISSED)
+        reasons = Counter(str(c.reason) for c in none.candidates if c.reason not in unsaid)
         commonest = min(reasons, key=lambda r: (-reasons[r], r)) if reasons else "not_visible"
         handed = HandedIn(reason=commonest, evaluations=sum(c.increments for c in none.candidates))
     except Nonsense as problem:
