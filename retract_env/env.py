@@ -229,8 +229,7 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
     ## Version History
 
     - v0: first version. Later with `grip` and `unknowns`, whose defaults change nothing, with `forces` at the
-      end of the observation, which was (107,) before, and with a lightest grip that depends on how slender
-      the flap is, 0.02 of the height for all before.
+      end of the observation, (107,) before, and with a lightest grip of 0.02 s instead of 0.02 of the height.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012

@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
@@ -40,43 +39,19 @@ def worst_mean(strains: ArrayLike, volumes: ArrayLike, fraction: float = WORST_F
     strains, volumes: (n,), volumes in any unit. The last piece counts with the part of its volume that is
     still needed.
     """
-    strains, volumes = (np.ravel(np.asarray(a, float)) for a in (strains, volumes))
-    return float(_worst_mean(strains, volumes, fraction * volumes.sum()))
-
-
-@njit(cache=True, nogil=True)
-def _worst_mean(strains: Array, volumes: Array, wanted: float) -> float:
-    bound = 0.0
-    for i in range(len(strains)):
-        if not strains[i] < np.inf:
-            return strains[i]
-        bound = max(bound, strains[i])
-    # the worst, down to a bound, as soon as they have that volume; to sort all would take far longer
-    least = 1e-3 * bound
-    volume = -1.0
-    while volume < wanted and bound >= 0.0:
-        bound = 0.8 * bound if bound > least else -1.0
-        volume = 0.0
-        count = 0
-        for i in range(len(strains)):
-            if strains[i] >= bound:
-                volume += volumes[i]
-                count += 1
-    worst = np.empty(count)
-    share = np.empty(count)
-    count = 0
-    for i in range(len(strains)):
-        if strains[i] >= bound:
-            worst[count] = strains[i]
-            share[count] = volumes[i]
-            count += 1
-    total = 0.0
-    left = wanted
-    for i in np.argsort(worst)[::-1]:
-        part = max(min(share[i], left), 0.0)
-        total += part * worst[i]
-        left -= part
-    return total / wanted
+    strains, volumes = np.ravel(strains), np.ravel(volumes)
+    wanted = fraction * volumes.sum()
+    count = min(len(strains), int(3 * fraction * len(strains)) + 1)
+    while True:  # as many of the worst as have that volume; to sort them all would take far longer
+        worst = np.argpartition(strains, len(strains) - count)[len(strains) - count :]
+        if count == len(strains) or volumes[worst].sum() >= wanted:
+            break
+        count = min(len(strains), 3 * count)
+    strains, volumes = strains[worst], volumes[worst]
+    order = np.argsort(strains)[::-1]
+    before = np.concatenate([[0.0], np.cumsum(volumes[order])[:-1]])
+    share = np.clip(wanted - before, 0.0, volumes[order])
+    return float(share @ strains[order] / wanted)
 
 
 def required_friction(reaction: ArrayLike, normal: ArrayLike) -> Array:

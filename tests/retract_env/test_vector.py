@@ -110,7 +110,7 @@ def test_episodes_of_every_kind_are_compared() -> None:
 
 @pytest.mark.parametrize("mode", MODES, ids=[mode.value for mode in MODES])
 def test_flaps_that_no_equilibrium_is_found_for(mode: AutoresetMode) -> None:
-    scenes = [corner(number) for number in (33, 2)]
+    scenes = [corner(number) for number in (20, 53, 2)]
     task = {"limits": "cost", "steps": 3}
     native, single = (
         vector(len(scenes), autoreset_mode=mode, task=task),

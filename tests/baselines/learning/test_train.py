@@ -174,7 +174,7 @@ def test_a_run_leaves_what_it_says(whole: Callable[[str], Path]) -> None:
     }
     assert list((folder / train.LOG).glob("events.out.tfevents.*"))
     lines = (folder / train.CURVE).read_text().splitlines()
-    assert lines[0].startswith("steps,success,quality,strain")
+    assert lines[0].startswith("steps,success,strain,quality")
     assert [line.split(",")[0] for line in lines[1:]] == ["16", "32", "48"]
     policy = load_policy(folder / train.POLICY)
     assert policy.training["recipe"]["algorithm"] == "ppo" and policy.training["seed"] == 0
