@@ -160,7 +160,8 @@ def _interval(interval: Interval) -> str:
 def _shares(interval: Interval) -> str:
     if math.isnan(interval.value):
         return ""
-    return f"{_percent(interval.value)} ({100 * interval.low:.0f} to {100 * interval.high:.0f})"
+    low, high = (_percent(end).removesuffix(" %") for end in (interval.low, interval.high))
+    return f"{_percent(interval.value)} ({low} to {high})"
 
 
 def _percent(share: float) -> str:
