@@ -48,8 +48,7 @@ class BatchVecEnv(VecEnv):
         self._actions: NDArray[Any] = np.empty(0)
         self._returns, self._lengths = np.zeros(self.num_envs), np.zeros(self.num_envs, np.int64)
         self._terms = {name: np.zeros(self.num_envs) for name in TERMS}
-        self.costs: Mapping[str, NDArray[np.float64]] = {}
-        """`cost_terms` of the last step, (n,) each"""
+        self._stepped: tuple[Mapping[str, Any], NDArray[np.bool_]] = {}, np.zeros(self.num_envs, np.bool_)
         self._start = time.time()
 
     def reset(self) -> NDArray[np.float32]:
@@ -81,14 +80,7 @@ class BatchVecEnv(VecEnv):
         for name, sums in self._terms.items():
             sums += infos["reward_terms"][name]
         dones = terminated | truncated
-        self.costs = infos["cost_terms"]
-        if dones.any():  # of the step that ended an episode, not of the reset after it
-            final = infos["final_info"]["cost_terms"]
-            self.costs = {
-                name: np.where(dones, final[name], cost)
-                for name, cost in self.costs.items()
-                if not name.startswith("_")
-            }
+        self._stepped = infos, dones
         told = [NOTHING] * self.num_envs
         if dones.any():
             for k, info in self._last(infos, dones, truncated & ~terminated).items():
@@ -115,6 +107,16 @@ class BatchVecEnv(VecEnv):
         for counted in (self._returns, self._lengths, *self._terms.values()):
             counted[where] = 0
         return told
+
+    @property
+    def costs(self) -> dict[str, NDArray[np.float64]]:
+        """`cost_terms` of the last step, (n,) each, where it ended an episode those of before the reset."""
+        infos, dones = self._stepped
+        terms = {k: v for k, v in infos["cost_terms"].items() if not k.startswith("_")}
+        if not dones.any():
+            return terms
+        final = infos["final_info"]["cost_terms"]
+        return {name: np.where(dones, final[name], cost) for name, cost in terms.items()}
 
     def close(self) -> None:
         self.envs.close()
