@@ -37,17 +37,14 @@ def checked(action: ArrayLike) -> Array:
     return np.clip(numbers, -1.0, 1.0)
 
 
-def _places(scene: Scene) -> tuple[float, float]:
-    """x, m, of the grasps nearest to the free and to the fixed end whose jaws fit on the flap."""
-    tissue = scene.tissue
+def _range(scene: Scene, config: TaskConfig) -> tuple[float, float, float, float, float]:
+    """x of the grasps nearest to the free and to the fixed end whose jaws fit on the flap, m; what grips are
+    told in, m of compression or N of force; and in that the lightest grip and the factor of `grip_range`."""
+    tissue, width = scene.tissue, scene.jaws.width
     # a hair inside, because an action is a rounded number
-    return -tissue.length, jaw_range(tissue.length, scene.jaws.width)[1] * (1 + 1e-6)
-
-
-def _unit(scene: Scene, config: TaskConfig) -> float:
-    """What grips are told in: m of compression, or N of force."""
-    tissue = scene.tissue
-    return tissue.modulus * scene.jaws.width * tissue.depth if config.grip == "force" else tissue.height
+    nearest = jaw_range(tissue.length, width)[1] * (1 + 1e-6)
+    unit = tissue.modulus * width * tissue.depth if config.grip == "force" else tissue.height
+    return -tissue.length, nearest, unit, *grip_range(*config.firmness, tissue.length, tissue.height)
 
 
 def to_grasp(action: ArrayLike, scene: Scene, config: TaskConfig = DEFAULT) -> Grasp:
@@ -56,12 +53,10 @@ def to_grasp(action: ArrayLike, scene: Scene, config: TaskConfig = DEFAULT) -> G
     In between, x goes linearly and compression or force geometrically (`rules.grip_range`). The third number
     has no meaning. Raises ValueError as `checked`.
     """
-    near, far = _places(scene)
-    (light, firm), tissue = config.firmness, scene.tissue
-    lightest, most = grip_range(light, firm, tissue.length, tissue.height)
+    near, far, unit, lightest, most = _range(scene, config)
     along, strength = ((checked(action)[:2] + 1) / 2).tolist()
     # a rounding error may leave the range
-    firmness = _unit(scene, config) * min(max(lightest * most**strength, lightest), firm)
+    firmness = unit * min(max(lightest * most**strength, lightest), config.firmness[1])
     return Grasp(near + along * (far - near), **{config.grip: firmness})
 
 
@@ -73,11 +68,9 @@ def from_grasp(grasp: Grasp, scene: Scene, config: TaskConfig = DEFAULT) -> Arra
     (held_by, firmness), *_ = grasp.firmness.items()
     if held_by != config.grip:
         raise ValueError(f"grasp.{held_by} = {firmness:g}, allowed a grasp by {config.grip}, as the task's")
-    near, far = _places(scene)
-    (light, firm), tissue = config.firmness, scene.tissue
-    lightest, most = grip_range(light, firm, tissue.length, tissue.height)
+    near, far, unit, lightest, most = _range(scene, config)
     along = (grasp.x - near) / (far - near)
-    strength = np.log(firmness / (_unit(scene, config) * lightest)) / np.log(most)
+    strength = np.log(firmness / (unit * lightest)) / np.log(most)
     return np.append(np.clip([2 * along - 1, 2 * strength - 1], -1.0, 1.0), 0.0)
 
 
