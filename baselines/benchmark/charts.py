@@ -89,40 +89,49 @@ def profile_chart(scores: Mapping[str, Array]) -> bytes:
 
 
 def curve_chart(curves: Mapping[str, Sequence[Sequence[Mapping[str, Any]]]]) -> bytes:
-    """Success on the validation split over the part of training, every seed of each method."""
+    """Success and strain on the validation split over the part of training: the mean of a method's seeds, and
+    from the least to the greatest of them."""
+    wanted = {"success": "episodes that succeed", "strain": "strain over its limit, where they do"}
 
-    def draw(axes: Axes) -> None:
-        for k, (name, runs) in enumerate(curves.items()):
-            for i, run in enumerate(runs):
-                steps = np.array([line["steps"] for line in run], np.float64)
-                label = name if i == 0 else None
-                axes.plot(
-                    steps / steps[-1],
-                    [line["success"] for line in run],
-                    color=LINES[k % len(LINES)],
-                    lw=1.2,
-                    marker=".",
-                    label=label,
+    def draw(*panels: Axes) -> None:
+        for axes, (column, label) in zip(panels, wanted.items(), strict=True):
+            for k, (name, runs) in enumerate(curves.items()):
+                parts = [np.array([line["steps"] for line in run], np.float64) for run in runs]
+                at = np.unique(np.concatenate([steps / steps[-1] for steps in parts]))
+                at = at[at >= max(steps[0] / steps[-1] for steps in parts)]
+                values = np.array(
+                    [
+                        np.interp(at, steps / steps[-1], [line[column] for line in run])
+                        for steps, run in zip(parts, runs, strict=True)
+                    ]
                 )
-        axes.set_xlim(0, 1.01)
-        axes.set_ylim(-0.02, 1.02)
-        axes.xaxis.set_major_formatter(PercentFormatter(1))
-        axes.yaxis.set_major_formatter(PercentFormatter(1))
-        axes.set_xlabel("of the training's steps")
-        axes.set_ylabel("episodes that succeed")
-        axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
+                style: dict[str, Any] = {"color": LINES[k % len(LINES)], "ls": DASHES[k // len(LINES)]}
+                seeds = f" ({len(runs)} seeds)" if len(runs) > 1 else ""
+                axes.plot(at, values.mean(axis=0), lw=1.4, marker=".", label=f"{name}{seeds}", **style)
+                axes.fill_between(
+                    at, values.min(axis=0), values.max(axis=0), alpha=0.2, lw=0, fc=style["color"]
+                )
+            axes.set_xlim(0, 1.01)
+            axes.set_ylim(bottom=0)
+            axes.xaxis.set_major_formatter(PercentFormatter(1))
+            axes.set_xlabel("of the training's steps")
+            axes.set_ylabel(label)
+        panels[0].set_ylim(-0.02, 1.02)
+        panels[0].yaxis.set_major_formatter(PercentFormatter(1))
+        panels[-1].legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
 
-    return _png(draw, 3.2)
+    return _png(draw, 3.2, panels=len(wanted))
 
 
-def _png(draw: Callable[[Axes], None], height: float) -> bytes:
+def _png(draw: Callable[..., None], height: float, panels: int = 1) -> bytes:
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(WIDTH, height), layout="constrained")
         FigureCanvasAgg(figure)
-        axes = figure.add_subplot()
-        axes.spines[["top", "right"]].set_visible(False)
-        axes.tick_params(color=GREY)
-        draw(axes)
+        beside = [figure.add_subplot(1, panels, k + 1) for k in range(panels)]
+        for axes in beside:
+            axes.spines[["top", "right"]].set_visible(False)
+            axes.tick_params(color=GREY)
+        draw(*beside)
         content = io.BytesIO()
         figure.savefig(content, format="png", dpi=DPI, metadata={"Software": None})
     return content.getvalue()

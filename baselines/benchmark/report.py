@@ -80,7 +80,7 @@ def write_report(
             profile_chart(scores_by_method(of, best)),
         )
     if curves:
-        title = "Training, judged on the validation split: every seed"
+        title = "Training, judged on the validation split: the mean of seeds, and their range"
         charts[f"{NAME}-training.png"] = (title, curve_chart(curves))
     files = {
         f"{NAME}.csv": _csv(numbers(rows)).encode(),

@@ -15,6 +15,7 @@ NO_RESULTS = (
     "baselines/pictures/",
     "baselines/cli/",
     "baselines/benchmark/charts.py",
+    "baselines/benchmark/curves.py",
     "baselines/benchmark/ranking.py",
     "baselines/benchmark/report.py",
     "baselines/benchmark/scores.py",
