@@ -30,9 +30,9 @@ none where it is not certified; by the corrected rod, where that cannot decide b
 **at 99 % survival**: the same with the strain that it takes to survive 99 % of the draws: the plan's own
 where it does, else that of the same place and motion held more firmly; median where there is such a grip, and
 the share of scenes where there is. None where survival is of the first {judged} draws alone.
-**time**: median until grasp and path are handed in, on one thread; {limit:g} s are allowed, and more is a
-failure (`time`). **decision**: mean time of one action of a policy. **Bullet**: share of scenes where the
-policy succeeds in `TissueRetract-v0`, played there without retraining.{closed_loop}
+**time**: median processor time until grasp and path are handed in, on one thread; {limit:g} s by the clock
+are allowed, and more is a failure (`time`). **decision**: mean time of one action of a policy. **Bullet**:
+share of scenes where the policy succeeds in `TissueRetract-v0`, played there without retraining.{closed_loop}
 
 **of ctc's**: share that is certified of the scenes where ctc is. **score**: interquartile mean of the least
 strain known over the method's, 0 where it is not certified. **friction margin** (part of the limit that is
