@@ -101,7 +101,7 @@ def curve_chart(curves: Mapping[str, Sequence[Sequence[Mapping[str, Any]]]]) -> 
                 at = at[at >= max(steps[0] / steps[-1] for steps in parts)]
                 values = np.array(
                     [
-                        np.interp(at, steps / steps[-1], [line[column] for line in run])
+                        np.interp(at, steps / steps[-1], [line.get(column, np.nan) for line in run])
                         for steps, run in zip(parts, runs, strict=True)
                     ]
                 )
