@@ -1,7 +1,7 @@
 """What the site shows beyond docs/*.md: notebooks as pages, and pages that stand in the repository's root.
 
-Notebooks become Markdown here and not by a plugin: the plugins that there are load scripts from other hosts, and the
-site has to work without any.
+Notebooks become Markdown here and not by a plugin: the plugins that there are load scripts from other hosts,
+and the site has to work without any.
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ def main() -> None:
     end = b + away * 42 / away[1]
     axes.plot(*zip(b, end, strict=True), color="#118855", lw=1.6)
     axes.annotate("line of sight AB", (-48, 37.5), color="#118855", fontsize=9)
-    axes.annotate("B", b + [-0.6, -2.6], color="#118855", fontsize=9)
+    axes.annotate("B", b - np.array([0.6, 2.6]), color="#118855", fontsize=9)
     for kind, colour in KINDS.items():
         jaws = PATHS[kind](scene, grasp).waypoints.reshape(-1, 2, 2) * MM
         middle = jaws[1:].mean(axis=1)
