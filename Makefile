@@ -7,12 +7,13 @@ PYTEST_ARGS ?= -n auto --maxprocesses 8
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 
-.PHONY: help demo bullet test test-slow lint format typecheck bench clean
+.PHONY: help demo bullet test test-slow docs notebooks lint format typecheck bench clean
 
 help:
 	@echo "make demo       retract configs/scenes/ten_veins.yaml as in 2009 and with swift, side by side, into $(OUT)"
 	@echo "make bullet     install PyBullet where there is no wheel of it, compiling for ten minutes"
 	@echo "make test       run the tests;  make test-slow: the slow ones too"
+	@echo "make docs       build the documentation's site, site/index.html;  make notebooks: execute its notebooks"
 	@echo "make lint       ruff;  make format: ruff, rewriting;  make typecheck: mypy"
 	@echo "make bench      measure speed and accuracy"
 	@echo "make clean      remove $(VENV) and caches"
@@ -39,6 +40,15 @@ test: $(VENV)/.installed-dev
 test-slow: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m "slow or not slow" $(PYTEST_ARGS)
 
+# Strict: a page or a heading that a link does not find is an error. (--quiet would count no warnings.) The variable hides an
+# announcement of the theme's.
+docs: $(VENV)/.installed-docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
+# In CI's length, which the notebooks' first cells say.
+notebooks: $(VENV)/.installed-docs
+	$(BIN)/python -m pytest -m notebook tests/test_notebooks.py
+
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -54,7 +64,7 @@ bench: $(VENV)/.installed-dev
 	@for script in benchmarks/[a-z]*.py; do echo "== $$script"; $(BIN)/python "$$script" || exit 1; done
 
 clean:
-	rm -rf $(VENV) build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) build site *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # Stamps: an install is repeated only after one of these files changed.
@@ -67,6 +77,10 @@ $(VENV)/.installed-dev: $(VENV)/.created pyproject.toml constraints.txt
 	@echo "installing into $(VENV) with the developers' tools, some minutes the first time"
 	@$(PIP) install --quiet --constraint constraints.txt --editable ".[dev]"
 	@touch $(VENV)/.installed $@
+
+$(VENV)/.installed-docs: $(VENV)/.installed-dev
+	@$(PIP) install --quiet --constraint constraints.txt --editable ".[dev,docs]"
+	@touch $@
 
 $(VENV)/.created:
 	@command -v $(PYTHON) > /dev/null || \

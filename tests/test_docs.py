@@ -16,9 +16,20 @@ from retract_env.task import LAYOUT, SIZE, SLICES, TaskConfig, Weights
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = (ROOT / "docs" / "environment.md").read_text("utf-8")
-LEARNING = (ROOT / "docs" / "learning.md").read_text("utf-8")
-EXAMPLES = re.findall(r"```python\n(.*?)```", PAGE + LEARNING, re.DOTALL)
-PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
+WITH_EXAMPLES = (
+    "../README",
+    "index",
+    "quick-start",
+    "certificate",
+    "environment",
+    "learning",
+    "benchmark",
+    "reference/index",
+)
+"""Pages whose Python is executed here; how-to-add's is by test_how_to_add, notebooks by test_notebooks."""
+TEXTS = "".join((ROOT / "docs" / f"{name}.md").read_text("utf-8") for name in WITH_EXAMPLES)
+EXAMPLES = list(dict.fromkeys(re.findall(r"```python\n(.*?)```", TEXTS, re.DOTALL)))
+PAGES = sorted([*ROOT.glob("[A-Z]*.md"), *(ROOT / "docs").rglob("*.md")])
 NEEDS = {"stable_baselines3": "stable_baselines3", "RecordVideo": "moviepy"}
 
 
@@ -32,7 +43,7 @@ def rows(text: str, heading: str) -> list[list[str]]:
 
 
 def test_the_observations_are_the_layout() -> None:
-    for row, part in zip(rows(PAGE, "Observations"), LAYOUT, strict=True):
+    for row, part in zip(rows(PAGE, "Observation Space"), LAYOUT, strict=True):
         span = SLICES[part.name]
         numbers = str(span.start) if part.size == 1 else f"{span.start}-{span.stop - 1}"
         assert row == [numbers, f"`{part.name}`", part.meaning, f"{part.low:g}", f"{part.high:g}", part.unit]
@@ -40,13 +51,13 @@ def test_the_observations_are_the_layout() -> None:
 
 
 def test_the_reward_has_the_tasks_terms_and_weights() -> None:
-    documented = {name: float(weight) for name, weight, _ in rows(PAGE, "Rewards and ends")}
+    documented = {name: float(weight) for name, weight, _ in rows(PAGE, "Rewards")}
     assert documented == {f"`{name}`": weight for name, weight in Weights().model_dump().items()}
-    assert f"truncated after {TaskConfig().steps} steps" in PAGE
+    assert f"**Truncated** after {TaskConfig().steps} steps" in PAGE
 
 
 def test_the_actions_are_those_of_the_docstring_and_of_the_code() -> None:
-    documented = rows(PAGE, "Actions")
+    documented = rows(PAGE, "Action Space")
     assert documented == rows(inspect.cleandoc(TissueRetractEnv.__doc__ or ""), "Action Space")
     (x, compression, none), moves = documented[:3], documented[3:]
     assert x[3] == f"{0.5 + SLIVER:g} jaw widths before the fixed end" and none[1] == "none"
@@ -106,7 +117,7 @@ def paths_named(text: str) -> set[str]:
 
 @pytest.mark.parametrize("page", PAGES, ids=[str(page.relative_to(ROOT)) for page in PAGES])
 def test_paths_that_are_named_exist(page: Path) -> None:
-    named = paths_named(page.read_text("utf-8"))
+    named = paths_named(re.sub(r"\]\(https://[^)]*\)", "]", page.read_text("utf-8")))
     assert [path for path in sorted(named) if not list(ROOT.glob(path.replace("NAME", "*")))] == []
 
 
@@ -124,6 +135,25 @@ def test_what_lives_where_names_every_folder() -> None:
     assert {room for room in rooms if f"`{room}/" not in page} == set()
 
 
+TEMPLATE = (
+    "Description",
+    "Action Space",
+    "Observation Space",
+    "Rewards",
+    "Starting State",
+    "Episode End",
+    "Arguments",
+    "Version History",
+)
+
+
+def test_the_environments_page_follows_gymnasiums_template() -> None:
+    headings = re.findall(r"^## (.*)$", PAGE, re.MULTILINE)
+    assert [heading for heading in headings if heading in TEMPLATE] == list(TEMPLATE)
+    low, high = TaskConfig().reward_range
+    assert f"| reward | in [{low:g}, {high:g}]" in PAGE
+
+
 def table(text: str, heading: str) -> dict[str, dict[str, str]]:
     """The rows of the first table under a heading, by their first cell, each by column."""
     section = text.partition(f"## {heading}")[2].partition("\n## ")[0]
@@ -133,8 +163,9 @@ def table(text: str, heading: str) -> dict[str, dict[str, str]]:
     return {row[0]: dict(zip(head, row, strict=True)) for row in body}
 
 
-def test_the_readme_tells_the_benchmarks_results() -> None:
-    told = table((ROOT / "README.md").read_text("utf-8"), "Planners and learners compared")
+@pytest.mark.parametrize("page", ["README.md", "docs/benchmark.md"])
+def test_pages_tell_the_benchmarks_results(page: str) -> None:
+    told = table((ROOT / page).read_text("utf-8"), "Planners and learners compared")
     found = table((ROOT / "docs" / "results" / "benchmark.md").read_text("utf-8"), "test")
     assert len(told) >= 5
     for method, row in told.items():

@@ -33,6 +33,22 @@ def example(heading: str) -> str:
     return "\n".join(re.findall(r"```python\n(.*?)```", section, re.DOTALL))
 
 
+def test_a_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """The file is read, and its flap can be retracted."""
+    text = PAGE.partition("\n## A scene\n")[2].partition("```yaml\n")[2].partition("```")[0]
+    (tmp_path / "two_veins.yaml").write_text(text, "utf-8")
+    monkeypatch.chdir(tmp_path)
+    space: dict[str, Any] = {}
+    exec(compile(example("A scene"), "a scene", "exec"), space)
+    same, veins = capsys.readouterr().out.split()
+    assert same == "True" and 2 <= int(veins) <= 4
+    assert PLANNERS["eased"](
+        space["scene"], resolution="coarse", workers=1, on_update=None
+    ).certificate.certified
+    env = gym.make("retract_env:TissueRetractRod-v0", scene="two_veins.yaml")
+    assert env.reset(seed=0)[1]["exposure"] < 1
+
+
 def test_a_path(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setitem(PATHS, "lifted", PATHS["ctc"])  # taken out again after the test
     space: dict[str, Any] = {}
