@@ -18,6 +18,7 @@ from matplotlib.transforms import Affine2D
 from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 
+from baselines.pictures.labels import name_level
 from retract_env.drawing.gauges import needed_friction
 from retract_env.drawing.palette import (
     GREY,
@@ -267,13 +268,8 @@ def draw_histories(
         low, high = float(known.min(initial=0.0)), float(known.max(initial=limit))
         room = high - low or 1.0
         ax.set_ylim(low - 0.08 * room if low < 0 else 0.0, high + 0.25 * room)
-        # The limit's name goes to the side where the curve stays away from it.
-        half = (len(values) + 1) // 2
-        gap = np.where(np.isfinite(values), np.abs(values - limit), np.inf)
-        x, side = (0.02 * last, "left") if gap[:half].min() >= gap[-half:].min() else (last, "right")
-        ax.annotate(
-            text, (x, limit), xytext=(0, 3), textcoords="offset points", ha=side, va="bottom", color=LIMIT,
-            fontsize=8.5, path_effects=HALO, zorder=2.5,
+        name_level(
+            ax, np.column_stack((steps, values)), limit, text, 8.5, color=LIMIT, path_effects=HALO, zorder=2.5
         )  # fmt: skip
     axes[1].plot(steps[lifted], drawn[lifted], "^", color=LIMIT, markersize=6, zorder=3.5)
     return [(steps, values) for _, values, _, _ in rows]
