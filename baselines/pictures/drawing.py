@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import TriMesh
 from matplotlib.colors import Colormap, ListedColormap
@@ -158,7 +159,7 @@ def view_limits(scene: Scene, frames: Sequence[TissueState]) -> tuple[float, flo
 
 def draw_surroundings(
     axes: Axes, scene: Scene, limits: tuple[float, float, float, float], clear: bool = True
-) -> list[Line2D]:
+) -> list[Artist]:
     """Bed, fixed end, line of sight AB, the region below it that tissue must leave, the area of interest.
 
     clear: whether the flap ends above AB; the line's label goes on the other side.
@@ -188,8 +189,8 @@ def draw_surroundings(
     axes.text(x1 / 2, height / 2, "fixed\nend", ha="center", va="center", zorder=2.7, bbox=NOTE_BOX)
     aside = np.array([-away[1], away[0]]) * (1.0 if clear else -1.0)
     x, y = end + length * (0.02 * aside - 0.03 * away)
-    axes.text(
-        x, y, f"line of sight to camera A, {distance:.0f} mm from B", color=SIGHT, zorder=2.7, ha="left",
+    name = axes.text(
+        x, y, f"to camera A, {distance:.0f} mm", color=SIGHT, zorder=4.65, ha="left",
         va="center", rotation=-float(np.degrees(np.arctan2(away[1], -away[0]))), rotation_mode="anchor",
         path_effects=HALO,
     )  # fmt: skip
@@ -198,6 +199,7 @@ def draw_surroundings(
         *axes.plot([0, 0], [0, height], color=INK, linewidth=2.2, solid_capstyle="butt", zorder=4.5),
         *axes.plot(*np.array([target, end]).T, color=SIGHT, linewidth=1.6, zorder=4.6),
         *axes.plot(*end, marker=tip, color=SIGHT, markersize=8, zorder=4.6),
+        name,  # the flap passes below it
         *axes.plot(target[0], 0.0, "o", color=SIGHT, markersize=6, markeredgecolor="white", zorder=4.7),
     ]
 

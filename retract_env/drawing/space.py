@@ -265,6 +265,8 @@ class SpaceRenderer:
         slim = min(wide / 3, self.scene.tissue.height / 5)
         for shapes, colour, half in zip(self._jaws.at(jaws), (STEEL, INK), (slim, wide), strict=True):
             for shape in shapes:
+                if shape[:-2, 1].max() <= 1e-9:  # its edges would show through the bed
+                    continue
                 solid, edges = bar(shape[:-2], half)
                 place.fill(solid, _plain(colour), gloss=2 * GLOSS)
                 place.line(edges, GREY, 0.5)
