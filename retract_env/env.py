@@ -18,8 +18,8 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
 from numpy.typing import ArrayLike, NDArray
 
-from retract_env.drawing.stage import PIXELS, Stage
-from retract_env.given import Unknowns, read_grasp, read_options, read_scene, read_settings
+from retract_env.drawing.stage import CAMERAS, PIXELS, VIEWS, Stage
+from retract_env.given import Unknowns, check_choices, read_grasp, read_options, read_scene, read_settings
 from retract_env.grasp import Grasp
 from retract_env.physics.pool import PhysicsPool
 from retract_env.scene import UNKNOWNS, Scene, sample_scene
@@ -31,7 +31,7 @@ from retract_env.task.observation import bounds
 
 @dataclass(frozen=True, repr=False, eq=False)
 class EnvState:
-    """Where an environment stood, for `TissueRetractEnv.set_state`. It can be pickled; not to be changed."""
+    """Where an environment stood, for `set_state`. It can be pickled; not to be changed."""
 
     physics: str
     resolution: str
@@ -114,8 +114,8 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
     | 106 | `exposure` | fraction of the area of interest that the camera sees | 0 | 1 |  |
     | 107-110 | `forces` | what the lower jaw presses and drags with, then the upper one | -10 | 10 | E w d |
 
-    `obs="pixels"`: `Box(0, 255, (96, 96, 3), uint8)`, the section as the camera's plane shows it, coloured by
-    strain.
+    `obs="pixels"`: `Box(0, 255, (96, 96, 3), uint8)`, the section in the camera's plane, coloured by strain,
+    or with `view="camera"` what the camera A itself sees, in which strain does not show.
 
     ## Rewards
 
@@ -180,8 +180,9 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
     - `resolution` (`None`): `"coarse"`, `"medium"`, `"fine"`, ...; None is `"coarse"` for fem, `"medium"` for
       bullet; the rod has `"rod"` alone.
     - `obs` (`"state"`): `"state"` or `"pixels"`.
-    - `camera` (`"section"`): what frames show, `"section"`, or `"3d"` for Bullet's own picture (`rgb_array`).
+    - `view` (`"section"`): what pixels show, `"section"`, or `"camera"` for what the camera A sees.
     - `render_mode` (`None`): `"rgb_array"`, frames of 640 x 480, or `"human"`.
+    - `camera` (`"section"`): what frames show, `"section"`, or `"3d"` for the scene in space.
     - `task` (`None`): what differs from `retract_env.task.TaskConfig()`: `weights` (those of the terms
       above), `steps` (64), `move` ([0.002, 0.002, 0.105], m, m, rad: how far -1 or 1 moves the gripper),
       `grip`, as above, `compression` ([0.02, 0.5], least and greatest, over the height), `force` ([0.03, 1],
@@ -223,8 +224,7 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
     be pickled. The same actions then lead to the same observations, rewards and infos, to the last bit. Look
     ahead with `env.unwrapped.step`, as wrappers keep counts of their own.
 
-    Either takes a millisecond or two. On Bullet the flap then makes the moves of the episode again before its
-    next step.
+    Either takes a millisecond or two. On Bullet the flap makes its moves again before the next step.
 
     ## Version History
 
@@ -251,25 +251,26 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
         sensors: Mapping[str, Any] | Sensors | None = None,
         grip: str | None = None,
         unknowns: Unknowns = None,
+        view: str = "section",
     ):
         """Raises ValueError (ConfigError) for what is not allowed, ImportError where the physics needs a
         package that is missing."""
         self._pool = PhysicsPool(physics, resolution)
-        for name, value, allowed in (
+        check_choices(
             ("obs", obs, ("state", "pixels")),
-            ("camera", camera, ("section", "3d") if self._pool.kind.pictures else ("section",)),
+            ("view", view, VIEWS),
+            ("camera", camera, CAMERAS),
             ("render_mode", render_mode, (None, *self.metadata["render_modes"])),
-        ):
-            if value not in allowed:
-                raise ValueError(f"{name} = {value!r}, allowed {', '.join(map(str, allowed))}")
+        )
         self._settings = settings = read_settings(task, ranges, sensors, grip, unknowns)
         self.task_config = settings.task
-        self._scene = read_scene(scene)
-        self._grasp = read_grasp(grasp)
+        self._scene, self._grasp = read_scene(scene), read_grasp(grasp)
         if ranges is not None and self._scene != "random":
             raise ValueError("ranges: allowed with scene = 'random' alone")
         if sensors is not None and obs != "state":
             raise ValueError(f"sensors: allowed with obs = 'state' alone, not with {obs!r}")
+        if view != VIEWS[0] and obs != "pixels":
+            raise ValueError(f"view = {view!r}: allowed with obs = 'pixels' alone, not with {obs!r}")
         self.obs, self.render_mode = obs, render_mode
         self.action_space = spaces.Box(-1.0, 1.0, (actions.SIZE,), np.float32)
         if obs == "state":
@@ -281,7 +282,7 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
         self._task: RetractionTask | None = None
         self._episode: Episode | None = None
         self._over = True
-        self._stage = Stage(camera, self.metadata["render_fps"])
+        self._stage = Stage(camera, view, self.metadata["render_fps"])
 
     @property
     def spec(self) -> EnvSpec | None:
@@ -356,10 +357,8 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
         """
         pool, episode = self._pool, self.episode.get_state()
         random = copy.deepcopy(self.np_random)
-        return EnvState(
-            pool.kind.name, pool.resolution, self.task_config, episode, self._over, random,
-            self._np_random_seed,
-        )  # fmt: skip
+        task, seed = self.task_config, self._np_random_seed
+        return EnvState(pool.kind.name, pool.resolution, task, episode, self._over, random, seed)
 
     def set_state(self, state: EnvState) -> None:
         """Go on from where this environment stood, or another of the same physics, resolution and task.

@@ -42,6 +42,13 @@ class Settings(Frozen):
 Unknowns = bool | Mapping[str, Any] | Uncertainty | None
 
 
+def check_choices(*choices: tuple[str, Any, Sequence[Any]]) -> None:
+    """Raise ValueError for the first of (name, value, what is allowed) that is not allowed."""
+    for name, value, allowed in choices:
+        if value not in allowed:
+            raise ValueError(f"{name} = {value!r}, allowed {', '.join(map(str, allowed))}")
+
+
 def read_settings(
     task: Mapping[str, Any] | TaskConfig | None,
     ranges: Mapping[str, Any] | SceneRanges | None,

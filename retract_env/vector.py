@@ -25,6 +25,7 @@ from retract_env.given import (
     NOTHING,
     Options,
     Unknowns,
+    check_choices,
     read_actions,
     read_grasp,
     read_mask,
@@ -124,15 +125,13 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
         threads: int | None = None,
     ):
         """Raises ValueError (ConfigError) for what is not allowed."""
-        for name, value, allowed in (
+        check_choices(
             ("physics", physics, ("rod",)),
             ("resolution", resolution, (None, *physics_kind("rod").resolutions)),
             ("obs", obs, ("state",)),
             ("render_mode", render_mode, (None,)),
             ("autoreset_mode", autoreset_mode, (*MODES, *(mode.value for mode in MODES))),
-        ):
-            if value not in allowed:
-                raise ValueError(f"{name} = {value!r}, allowed {', '.join(str(a) for a in allowed)}")
+        )
         for name, number in (("num_envs", num_envs), ("threads", 1 if threads is None else threads)):
             if isinstance(number, bool) or not isinstance(number, int | np.integer) or number < 1:
                 raise ValueError(f"{name} = {number!r}, allowed a whole number from 1 on")

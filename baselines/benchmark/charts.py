@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -58,7 +59,10 @@ def share_chart(found: Sequence[Summary]) -> bytes:
             if part.any():
                 axes.barh(at, part, left=left, color=FAILED[failure], label=failure.replace("_", " "))
             left += part
-        axes.set_yticks(at, [s.method for s in found])
+        most = max(s.scenes for s in found)
+        some = ["" if s.scenes == most else f" ({s.scenes} scenes)" for s in found]
+        axes.set_yticks(at, [s.method + part for s, part in zip(found, some, strict=True)])
+        axes.set_ylim(-0.6, len(found) - 0.4)
         axes.set_xlim(0, 1)
         axes.xaxis.set_major_formatter(PercentFormatter(1))
         axes.set_xlabel("scenes")
@@ -70,22 +74,44 @@ def share_chart(found: Sequence[Summary]) -> bytes:
 def profile_chart(scores: Mapping[str, Array]) -> bytes:
     """Share of scenes where a method comes within a factor of the best known strain.
 
-    scores: (runs, scenes) of each method, 1 for the best known, 0 where not certified.
+    scores: (runs, scenes) of each method, 1 for the best known, 0 where not certified. Curves of different
+    scenes are no comparison, so only methods judged on all of them are drawn; a note names the others, and
+    those that nothing was certified of.
     """
+    shown, partial, never = compared(scores)
 
     def draw(axes: Axes) -> None:
-        excess = np.linspace(1, 4, 301)
-        for k, (name, values) in enumerate(scores.items()):
-            shares = (values.ravel()[:, None] >= 1 / excess - 1e-12).mean(axis=0)
+        excess = np.linspace(1, 4, 601)
+        for k, name in enumerate(shown):
+            shares = (scores[name].ravel()[:, None] >= 1 / excess - 1e-12).mean(axis=0)
             axes.plot(excess, shares, color=LINES[k % len(LINES)], ls=DASHES[k // len(LINES)], label=name)
         axes.set_xlim(1, 4)
         axes.set_ylim(0, 1.02)
         axes.yaxis.set_major_formatter(PercentFormatter(1))
         axes.set_xlabel("strain over the least that any method reached in the scene, at most")
         axes.set_ylabel("scenes")
-        axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
+        if shown:
+            axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
 
-    return _png(draw, 3.6)
+    said = [
+        f"{what}: {', '.join(names)}."
+        for what, names in (
+            ("Not drawn, as judged on some of the scenes alone", partial),
+            ("Never certified", never),
+        )
+        if names
+    ]
+    return _png(draw, 3.6 + 0.2 * len(said), "\n".join(said))
+
+
+def compared(scores: Mapping[str, Array]) -> tuple[list[str], list[str], list[str]]:
+    """Methods judged on as many scenes as any and certified somewhere, best first; those judged on fewer; and
+    those never certified. scores: as for `profile_chart`."""
+    most = max((values.shape[-1] for values in scores.values()), default=0)
+    partial = [name for name, values in scores.items() if values.shape[-1] < most]
+    never = [name for name, values in scores.items() if name not in partial and not values.any()]
+    shown = [name for name in scores if name not in (*partial, *never)]
+    return sorted(shown, key=lambda name: -float(scores[name].mean())), partial, never
 
 
 def curve_chart(curves: Mapping[str, Sequence[Sequence[Mapping[str, Any]]]]) -> bytes:
@@ -123,7 +149,8 @@ def curve_chart(curves: Mapping[str, Sequence[Sequence[Mapping[str, Any]]]]) -> 
     return _png(draw, 3.2, panels=len(wanted))
 
 
-def _png(draw: Callable[..., None], height: float, panels: int = 1) -> bytes:
+def _png(draw: Callable[..., None], height: float, panels: int = 1, note: str = "") -> bytes:
+    """draw: is given the panels, side by side; note: below the chart."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(WIDTH, height), layout="constrained")
         FigureCanvasAgg(figure)
@@ -132,6 +159,9 @@ def _png(draw: Callable[..., None], height: float, panels: int = 1) -> bytes:
             axes.spines[["top", "right"]].set_visible(False)
             axes.tick_params(color=GREY)
         draw(*beside)
+        if note:
+            wrapped = "\n".join(textwrap.fill(line, 120) for line in note.splitlines())
+            figure.supxlabel(wrapped, x=0.01, ha="left", fontsize=8.5, color=GREY)
         content = io.BytesIO()
         figure.savefig(content, format="png", dpi=DPI, metadata={"Software": None})
     return content.getvalue()

@@ -110,11 +110,11 @@ def _markdown(ranked: Mapping[str, Ranked], benchmark: Benchmark, command: str, 
 def _page(ranked: Mapping[str, Ranked], benchmark: Benchmark, command: str, charts: Charts) -> str:
     parts = ["<h1>Benchmark</h1>", f"<p><code>{html.escape(command)}</code></p>", _told(legend(benchmark))]
     for one in ranked.values():
-        parts += [f"<h2>{html.escape(one.title)}</h2><p>{html.escape(one.said)}</p>"]
+        parts += [f"<h2>{html.escape(one.title)}</h2><p>{_inline(one.said)}</p>"]
         parts += [_table(one.summary, RANKING), "<p>More of the same:</p>"]
         parts += [_table(one.summary, details(one.summary))]
         if one.troubles:
-            lines = "".join(f"<li>{html.escape(line)}</li>" for line in one.troubles)
+            lines = "".join(f"<li>{_inline(line)}</li>" for line in one.troubles)
             parts.append(f"<p>Answers that could not be judged:</p><ul>{lines}</ul>")
     for title, picture in charts.values():
         data = base64.b64encode(picture).decode()
@@ -129,8 +129,8 @@ def _page(ranked: Mapping[str, Ranked], benchmark: Benchmark, command: str, char
 
 def _table(summary: Sequence[Summary], names: Sequence[str]) -> str:
     head, lines = table_of(summary, names)
-    rows = ["".join(f"<th>{html.escape(cell)}</th>" for cell in head)]
-    rows += ["".join(f"<td>{html.escape(cell)}</td>" for cell in line) for line in lines]
+    rows = ["".join(f"<th>{_inline(cell)}</th>" for cell in head)]
+    rows += ["".join(f"<td>{_inline(cell)}</td>" for cell in line) for line in lines]
     return f"<table><tr>{'</tr><tr>'.join(rows)}</tr></table>"
 
 
@@ -140,10 +140,14 @@ def _told(text: str) -> str:
     code, _, after = rest.partition("```")
     parts = []
     for prose in (before, after):
-        marked = re.sub(r"\*\*(.+?)\*\*", r"<b>\1</b>", html.escape(prose), flags=re.DOTALL)
-        marked = re.sub(r"`(.+?)`", r"<code>\1</code>", marked)
-        parts.append("".join(f"<p>{p}</p>" for p in marked.split("\n\n") if p.strip()))
+        parts.append("".join(f"<p>{p}</p>" for p in _inline(prose).split("\n\n") if p.strip()))
     return f"<pre>{html.escape(code)}</pre>".join(parts) if fence else parts[0]
+
+
+def _inline(text: str) -> str:
+    """Markdown's two stars and backticks, as far as texts, tables and lists here use them, as HTML."""
+    marked = re.sub(r"\*\*(.+?)\*\*", r"<b>\1</b>", html.escape(text), flags=re.DOTALL)
+    return re.sub(r"`(.+?)`", r"<code>\1</code>", marked, flags=re.DOTALL)
 
 
 def _csv(rows: Sequence[Row]) -> str:

@@ -167,7 +167,7 @@ def _draw_end(axes: Axes, scene: Scene, one: Compared, limits: tuple[float, floa
         draw_flap_at_rest(axes, scene.tissue)
         return
     frames, section = drawn_frames(one.plan.certificate)
-    topology = SectionTopology(section)
+    topology = SectionTopology(section, scene.tissue.veins)
     rest = FlapArtist(axes, topology, scene.limits.strain, fade=0.7, zorder=1.0)
     rest.show(frames[0])
     final = FlapArtist(axes, topology, scene.limits.strain, zorder=3.0)

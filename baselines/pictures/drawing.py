@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import TriMesh
 from matplotlib.colors import Colormap, ListedColormap
@@ -18,6 +19,7 @@ from matplotlib.transforms import Affine2D
 from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 
+from baselines.pictures.labels import name_level
 from retract_env.drawing.gauges import needed_friction
 from retract_env.drawing.palette import (
     GREY,
@@ -157,7 +159,7 @@ def view_limits(scene: Scene, frames: Sequence[TissueState]) -> tuple[float, flo
 
 def draw_surroundings(
     axes: Axes, scene: Scene, limits: tuple[float, float, float, float], clear: bool = True
-) -> list[Line2D]:
+) -> list[Artist]:
     """Bed, fixed end, line of sight AB, the region below it that tissue must leave, the area of interest.
 
     clear: whether the flap ends above AB; the line's label goes on the other side.
@@ -187,8 +189,8 @@ def draw_surroundings(
     axes.text(x1 / 2, height / 2, "fixed\nend", ha="center", va="center", zorder=2.7, bbox=NOTE_BOX)
     aside = np.array([-away[1], away[0]]) * (1.0 if clear else -1.0)
     x, y = end + length * (0.02 * aside - 0.03 * away)
-    axes.text(
-        x, y, f"line of sight to camera A, {distance:.0f} mm from B", color=SIGHT, zorder=2.7, ha="left",
+    name = axes.text(
+        x, y, f"to camera A, {distance:.0f} mm", color=SIGHT, zorder=4.65, ha="left",
         va="center", rotation=-float(np.degrees(np.arctan2(away[1], -away[0]))), rotation_mode="anchor",
         path_effects=HALO,
     )  # fmt: skip
@@ -197,6 +199,7 @@ def draw_surroundings(
         *axes.plot([0, 0], [0, height], color=INK, linewidth=2.2, solid_capstyle="butt", zorder=4.5),
         *axes.plot(*np.array([target, end]).T, color=SIGHT, linewidth=1.6, zorder=4.6),
         *axes.plot(*end, marker=tip, color=SIGHT, markersize=8, zorder=4.6),
+        name,  # the flap passes below it
         *axes.plot(target[0], 0.0, "o", color=SIGHT, markersize=6, markeredgecolor="white", zorder=4.7),
     ]
 
@@ -267,13 +270,8 @@ def draw_histories(
         low, high = float(known.min(initial=0.0)), float(known.max(initial=limit))
         room = high - low or 1.0
         ax.set_ylim(low - 0.08 * room if low < 0 else 0.0, high + 0.25 * room)
-        # The limit's name goes to the side where the curve stays away from it.
-        half = (len(values) + 1) // 2
-        gap = np.where(np.isfinite(values), np.abs(values - limit), np.inf)
-        x, side = (0.02 * last, "left") if gap[:half].min() >= gap[-half:].min() else (last, "right")
-        ax.annotate(
-            text, (x, limit), xytext=(0, 3), textcoords="offset points", ha=side, va="bottom", color=LIMIT,
-            fontsize=8.5, path_effects=HALO, zorder=2.5,
+        name_level(
+            ax, np.column_stack((steps, values)), limit, text, 8.5, color=LIMIT, path_effects=HALO, zorder=2.5
         )  # fmt: skip
     axes[1].plot(steps[lifted], drawn[lifted], "^", color=LIMIT, markersize=6, zorder=3.5)
     return [(steps, values) for _, values, _, _ in rows]

@@ -115,7 +115,7 @@ def animation_images(plan: Plan) -> Iterator[Image.Image]:
     plots = [panel(left + i * (wide + gap), below, wide, strip) for i in range(3)]
     curves = draw_histories(plots, certificate, colour=PALE_VALUE)
 
-    flap = FlapArtist(axes, SectionTopology(section), limit, straight=True)
+    flap = FlapArtist(axes, SectionTopology(section, plan.scene.tissue.veins), limit, straight=True)
     jaws = JawArtist(axes, scene)
     traces = [ax.plot([], [], color=VALUE, linewidth=2.2, zorder=4)[0] for ax in plots]
     dot_look: Any = {"color": VALUE, "markersize": 5.5, "markeredgecolor": "white", "zorder": 5}

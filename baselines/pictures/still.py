@@ -38,6 +38,7 @@ from baselines.pictures.drawing import (
     strain_map,
     view_limits,
 )
+from baselines.pictures.labels import Number, write_numbers
 from baselines.pictures.stiffness import StiffnessCurve, stiffness_curve
 from retract_env.drawing.palette import GREY, HIDDEN_VEIL, INK, LIMIT, SIGHT, STEEL, VALUE
 from retract_env.drawing.shapes import SectionTopology, hidden_region
@@ -168,26 +169,27 @@ def _draw_stiffness(axes: Axes, below: Axes, plan: Plan, curve: StiffnessCurve) 
     axes.yaxis.set_label_coords(-0.045, 0.5)
     axes.tick_params(labelbottom=False, bottom=False)
     axes.spines["bottom"].set_visible(False)
-    taken: list[float] = []
-    spacing = 0.017 * float(np.ptp(axes.get_xlim()))
-    for rank, at, stiffness in sorted(curve.grasps, key=lambda g: (abs(g[1] - chosen) > 1e-9, g[0])):
-        best, height = abs(at - chosen) <= 1e-9, stiffness * KPA_PER_MM
-        colour = VALUE if best else GREY
+    # the chosen one first, so that it has its number below it
+    grasps = sorted(curve.grasps, key=lambda g: (abs(g[1] - chosen) > 1e-9, g[0]))
+    best = [abs(at - chosen) <= 1e-9 for _, at, _ in grasps]
+    places = [(at * MM, stiffness * KPA_PER_MM) for _, at, stiffness in grasps]
+    for (rank, _, _), is_best, (at, height) in zip(grasps, best, places, strict=True):
+        colour = VALUE if is_best else GREY
         axes.plot(
-            at * MM, height, "o", markersize=8 if best else 5, markerfacecolor=VALUE if best else "white",
-            markeredgecolor=colour, markeredgewidth=1.2, zorder=5 if best else 4, gid=f"grasp {rank}",
+            at, height, "o", markersize=8 if is_best else 5, markerfacecolor=VALUE if is_best else "white",
+            markeredgecolor=colour, markeredgewidth=1.2, zorder=4 if is_best else 5, gid=f"grasp {rank}",
         )  # fmt: skip
-        line: Any = {"linewidth": 1.6} if best else {"linewidth": 0.8, "linestyle": (0, (2, 2))}
-        below.plot([at * MM] * 2, [0, tissue.height * MM], color=colour, zorder=3, **line)
-        if all(abs(at * MM - other) > spacing for other in taken):
-            taken.append(at * MM)
-            axes.annotate(
-                str(rank or ""), (at * MM, height), xytext=(0, -6), textcoords="offset points", ha="center",
-                va="top", color=colour if best else INK, weight="bold" if best else "normal", zorder=6,
-                fontsize=11 if best else 8.5, path_effects=HALO,
-            )  # fmt: skip
-        if best:
-            axes.plot([at * MM] * 2, [axes.get_ylim()[0], height], color=VALUE, linewidth=1.6, zorder=2)
+        line: Any = {"linewidth": 1.6} if is_best else {"linewidth": 0.8, "linestyle": (0, (2, 2))}
+        below.plot([at] * 2, [0, tissue.height * MM], color=colour, zorder=3, **line)
+        if is_best:
+            axes.plot([at] * 2, [axes.get_ylim()[0], height], color=VALUE, linewidth=1.6, zorder=2)
+    numbers = [
+        Number(place, str(rank or ""), VALUE, 11.0, 8.0, "bold")
+        if is_best
+        else Number(place, str(rank or ""))
+        for (rank, _, _), is_best, place in zip(grasps, best, places, strict=True)
+    ]
+    write_numbers(axes, numbers, np.column_stack((x * MM, k)), path_effects=HALO, zorder=6)
     axes.set_title(f"Where to grasp: {_grasps_in_words(plan)}; blue was chosen", pad=6)
 
 
@@ -222,7 +224,7 @@ def _ghosts(frames: Sequence[TissueState]) -> list[int]:
 
 def _draw_motion(axes: Axes, plan: Plan, limits: tuple[float, float, float, float]) -> None:
     frames, scene, limit = plan.certificate.frames, plan.scene, plan.certificate.strain_limit
-    topology = SectionTopology(drawn_frames(plan.certificate)[1])
+    topology = SectionTopology(drawn_frames(plan.certificate)[1], scene.tissue.veins)
     draw_surroundings(axes, scene, limits, clear=frames[-1].clearance >= 0)
     if len(frames) > 1:
         for depth, index in enumerate([0, *_ghosts(frames)]):

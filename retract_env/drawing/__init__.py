@@ -1,1 +1,1 @@
-"""Drawings of a flap's section and of its surroundings, for every picture; no GPU, no window."""
+"""Drawings of a flap and its surroundings, its section or the scene in space; no GPU, no window."""

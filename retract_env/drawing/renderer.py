@@ -43,15 +43,20 @@ SMALL_RIGHT, SMALL_BED = 0.2, 0.07
 """What a small picture shows behind the fixed end, over the flap's length; the bed's part of its height."""
 
 
+def check_size(size: tuple[int, int]) -> None:
+    """Raise ValueError for a frame, width and height in px, that is too small to read."""
+    if min(size) < LEAST:
+        raise ValueError(f"size = {tuple(size)} px, allowed {LEAST} and more either way")
+
+
 class SectionRenderer:
     """Draws states of one section of one scene."""
 
     def __init__(self, scene: Scene, section: SectionMesh, size: tuple[int, int] = (640, 480)):
         """size: width and height of a frame, px. Raises ValueError where that is too small to read."""
-        if min(size) < LEAST:
-            raise ValueError(f"size = {tuple(size)} px, allowed {LEAST} and more either way")
+        check_size(size)
         self.scene, self.size = scene, size
-        self._topology = SectionTopology(section)
+        self._topology = SectionTopology(section, scene.tissue.veins)
         self._jaws, self._bold_jaws = JawShapes(scene), JawShapes(scene, bold=2.0)
         self._frame: tuple[Scenery, Strip, Lettering] | None = None
         self._small: dict[tuple[int, int], Scenery] = {}

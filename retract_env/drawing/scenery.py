@@ -118,7 +118,8 @@ class Scenery:
         self._hatch(0, view.bed, width, min(view.bed + self._ground, height))
         self._hatch(round(wall[0]), round(wall[1]), width, view.bed)
         canvas.stroke([(0, view.bed), (width, view.bed)], rgb(GREY), unit)
-        self._draw_camera()
+        arrived = np.hypot(*(self.sight_end - self._target)) > self._distance * view.scale - 1
+        draw_camera(canvas, self.sight_end, self.away, bool(arrived), unit)
 
     def _hatch(self, left: int, top: int, right: int, bottom: int) -> None:
         patch = Canvas(np.full((bottom - top, right - left, 3), rgb(GROUND), dtype=np.uint8))
@@ -130,20 +131,22 @@ class Scenery:
             patch.stroke([(x, tall), (x + tall, 0)], rgb(HATCH), 0.7 * self.unit)
         self.canvas.image[top:bottom, left:right] = patch.image
 
-    def _draw_camera(self) -> None:
-        """A camera where A is in the picture, or else an arrow that points to it."""
-        unit, along = self.unit, self.away
-        across = np.array([-along[1], along[0]])
 
-        def placed(shape: list[tuple[float, float]]) -> Array:
-            return self.sight_end + unit * (np.array(shape) @ np.stack((across, along)))
+def draw_camera(canvas: Canvas, end: Array, away: Array, arrived: bool, unit: float) -> None:
+    """A camera at the end of the line of sight, or else an arrow that points to it.
 
-        arrow = placed([(0.0, 9.0), (5.0, -2.0), (-5.0, -2.0)])
-        lens = placed([(-5.0, -3.0), (5.0, -3.0), (2.0, 3.0), (-2.0, 3.0)])
-        body = placed([(-6.0, 2.0), (6.0, 2.0), (6.0, 12.0), (-6.0, 12.0)])
-        at_camera = np.hypot(*(self.sight_end - self._target)) > self._distance * self.view.scale - 1
-        for shape in (lens, body) if at_camera else (arrow,):
-            self.canvas.polygon(shape, rgb(SIGHT))
+    end: (2,) px; away: (2,) unit on the picture, from B to A; arrived: whether A is there.
+    """
+    across = np.array([-away[1], away[0]])
+
+    def placed(shape: list[tuple[float, float]]) -> Array:
+        return end + unit * (np.array(shape) @ np.stack((across, away)))
+
+    arrow = placed([(0.0, 9.0), (5.0, -2.0), (-5.0, -2.0)])
+    lens = placed([(-5.0, -3.0), (5.0, -3.0), (2.0, 3.0), (-2.0, 3.0)])
+    body = placed([(-6.0, 2.0), (6.0, 2.0), (6.0, 12.0), (-6.0, 12.0)])
+    for shape in (lens, body) if arrived else (arrow,):
+        canvas.polygon(shape, rgb(SIGHT))
 
 
 def draw_words(scenery: Scenery, letters: Lettering) -> None:
@@ -158,21 +161,24 @@ def draw_words(scenery: Scenery, letters: Lettering) -> None:
         at += letters.write(word, at, below, colour, plate=GROUND) + 12 * unit
     wall = view((0.0, scene.tissue.height / 2))
     letters.write("fixed end", wall[0] + 14 * unit, wall[1], GREY, plate=GROUND)
-    end, away = scenery.sight_end, scenery.away
-    aside = np.array([away[1], -away[0]])  # below the line, where the flap comes from
+    name_camera(letters, scenery.sight_end, scenery.away, unit)
+    draw_scale(scenery.canvas, letters, scene.limits.strain, unit)
+
+
+def name_camera(letters: Lettering, end: Array, away: Array, unit: float) -> None:
+    """The line of sight's name, below its end, where the flap comes from; end and away as `draw_camera`."""
+    aside = np.array([away[1], -away[0]])
     x, y = end - 62 * unit * away - 11 * unit * aside
     letters.write("camera A", x, y, SIGHT, 0.5, turn=math.degrees(math.atan2(away[1], -away[0])))
-    draw_scale(scenery, letters)
 
 
-def draw_scale(scenery: Scenery, letters: Lettering) -> None:
+def draw_scale(canvas: Canvas, letters: Lettering, limit: float, unit: float) -> None:
     """The colours of strain, up to its limit, in the upper right corner."""
-    unit, limit, image = scenery.unit, scenery.scene.limits.strain, scenery.canvas.image
-    right, top = image.shape[1] - 44 * unit, 34 * unit
+    right, top = canvas.image.shape[1] - 44 * unit, 34 * unit
     tall = 120 * unit
     for i, colour in enumerate(STRAIN):
         bottom = top + tall * (1 - i / len(STRAIN))
-        scenery.canvas.box(right - 12 * unit, bottom - tall / len(STRAIN) - 1, right, bottom, tuple(colour))
+        canvas.box(right - 12 * unit, bottom - tall / len(STRAIN) - 1, right, bottom, tuple(colour))
     letters.write("strain", right - 6 * unit, top - 14 * unit, GREY, 0.5)
     for share in (0.0, 0.5, 1.0):
         letters.write(f"{share * limit:g}", right + 5 * unit, top + tall * (1 - share), GREY)

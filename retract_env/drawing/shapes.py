@@ -15,7 +15,7 @@ from retract_env.objectives import bed_hits
 
 if TYPE_CHECKING:
     from retract_env.mesh import SectionMesh
-    from retract_env.scene import Scene
+    from retract_env.scene import Scene, Vein
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -23,7 +23,6 @@ Ints = NDArray[np.intp]
 FINGER, PAD = 0.14, 0.016  # of the flap's length
 
 _SMALL = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])  # a quadratic triangle as four plain ones
-_EDGES = np.array([[0, 3, 1], [1, 4, 2], [2, 5, 0]])
 
 
 class SectionTopology:
@@ -34,7 +33,8 @@ class SectionTopology:
     fixed end along the lower surface and round, the first again at the end.
     """
 
-    def __init__(self, section: SectionMesh) -> None:
+    def __init__(self, section: SectionMesh, veins: Sequence[Vein]) -> None:
+        """veins: of the scene, drawn as they are there, whatever corners the mesh gives them."""
         triangles, vein = np.asarray(section.triangles), np.asarray(section.vein)
         count = len(section.points)
         # Strain jumps between vein and tissue, so a node on a vein's outline is drawn as two vertices.
@@ -45,12 +45,7 @@ class SectionTopology:
         self.nodes: Ints = vertices % count
         self.faces: Ints = np.ascontiguousarray(self._vertex[:, _SMALL].reshape(-1, 3))
         self.straight: Ints = self._vertex[:, :3]
-        edges = triangles[:, _EDGES].reshape(-1, 3)
-        inside = np.repeat(vein, 3)
-        keys = np.column_stack((inside, edges[:, 1]))[inside >= 0]
-        _, first, times = np.unique(keys, axis=0, return_index=True, return_counts=True)
-        self._vein_edges: Ints = edges[inside >= 0][np.sort(first[times == 1])].astype(np.intp)
-        rings = [_embedded(section, _ring(vein.outline, section)) for vein in section.smeared]
+        rings = [_embedded(section, _ring(vein.outline, section)) for vein in veins]
         gap = np.zeros((1, 6), np.intp), np.full((1, 6), np.nan)
         self._ring_nodes, self._ring_shares = (
             np.concatenate([np.concatenate((ring[k], gap[k])) for ring in rings] or [gap[k][:0]])
@@ -59,9 +54,9 @@ class SectionTopology:
         self.outline: Ints = _loop(np.asarray(section.points), np.asarray(section.boundary))
 
     def vein_lines(self, points: Array) -> Array:
-        """(k, 2) the veins' outlines, a gap after each piece, for nodes at points (n, 2), m or pixels."""
-        rings = (points[self._ring_nodes] * self._ring_shares[..., None]).sum(axis=1)
-        return np.concatenate([broken(points[self._vein_edges]), rings])
+        """(k, 2) the veins' closed outlines, a gap after each, for nodes at points (n, 2), m or pixels."""
+        rings: Array = (points[self._ring_nodes] * self._ring_shares[..., None]).sum(axis=1)
+        return rings
 
     def smooth(self, strain: Array) -> Array:
         """(v,) strain at the vertices: mean of the (m,) triangles around each, on its side of a vein."""
@@ -103,12 +98,6 @@ def _loop(points: Array, boundary: NDArray[np.integer]) -> Ints:
         loop += [middle, node]
     # The edges run counter-clockwise, up the fixed end first; backwards the lower surface comes first.
     return np.array(loop[::-1], dtype=np.intp)
-
-
-def broken(lines: Array) -> Array:
-    """Lines (e, k, 2) as one line (e (k + 1), 2) with a gap after each."""
-    gaps = np.full((len(lines), 1, 2), np.nan)
-    return np.concatenate((lines, gaps), axis=1).reshape(-1, 2)
 
 
 def hidden_region(outline: Array, camera: ArrayLike) -> Array:

@@ -39,8 +39,6 @@ class PhysicsKind:
     """in a few words, for messages"""
     vector: str | None = None
     """"module:Class" of the environment that runs many at once, if there is one"""
-    pictures: bool = False
-    """whether it draws itself, with a method render_3d(width, height)"""
     needs: str = ""
     """a package that has to be installed besides, if any"""
     install: str = ""
@@ -101,7 +99,6 @@ PHYSICS = {
             "retract_env.physics.bullet.flap:BulletPhysics",
             resolution="medium",
             about="a soft body of PyBullet",
-            pictures=True,
             needs="pybullet",
             install=BULLET,
         ),

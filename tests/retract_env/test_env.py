@@ -47,7 +47,11 @@ CASES = [
         for k, options in enumerate(OPTIONS)
         if name != ROD or "resolution" not in options
     ),
-    pytest.param(BULLET, {"camera": "3d", "render_mode": "rgb_array"}, id=f"{BULLET}-3d"),
+    *(
+        pytest.param(name, {"camera": "3d", "render_mode": "rgb_array"}, id=f"{name}-3d")
+        for name in (FEM, BULLET, ROD)
+    ),
+    pytest.param(ROD, {"obs": "pixels", "view": "camera"}, id=f"{ROD}-camera"),
 ]
 
 

@@ -80,7 +80,6 @@ def test_a_copy_before_and_after_an_episode(make: Callable[..., TissueRetractEnv
 
 
 def test_a_copy_draws_what_the_original_draws(make: Callable[..., TissueRetractEnv]) -> None:
-    """Bullet's own picture needs the flap itself: the copy makes its moves before it is drawn."""
     env = make(BULLET, camera="3d", render_mode="rgb_array", grasp={"x": -0.03, "compression": 1e-3})
     env.reset(seed=0)
     env.step(LIFT)

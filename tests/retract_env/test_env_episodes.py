@@ -22,7 +22,7 @@ from retract_env.physics.fem import FemPhysics
 from retract_env.scene import Scene, load_scene
 from retract_env.task import SLICES, TaskConfig, default_scene
 from tests.retract_env.bodies import flap, square_vein
-from tests.retract_env.playing import BULLET, FEM, LIFT, digest, play
+from tests.retract_env.playing import BULLET, FEM, LIFT, ROD, digest, play
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -208,7 +208,9 @@ def test_wrong_options_say_what_is_allowed(
         ({"physics": "sofa"}, "^physics = 'sofa', allowed bullet, fem, rod$"),
         ({"resolution": "superb"}, "^resolution = 'superb', allowed coarse, medium, fine, finer$"),
         ({"obs": "sound"}, "^obs = 'sound', allowed state, pixels$"),
-        ({"camera": "3d"}, "^camera = '3d', allowed section$"),
+        ({"camera": "4d"}, "^camera = '4d', allowed section, 3d$"),
+        ({"obs": "pixels", "view": "3d"}, "^view = '3d', allowed section, camera$"),
+        ({"view": "camera"}, "^view = 'camera': allowed with obs = 'pixels' alone, not with 'state'$"),
         ({"render_mode": "ansi"}, "^render_mode = 'ansi', allowed None, human, rgb_array$"),
         ({"grasp": 3}, "^grasp = 3, allowed"),
     ],
@@ -245,18 +247,30 @@ def test_frames(make: Callable[..., TissueRetractEnv]) -> None:
     assert make().render() is None
 
 
-def test_bullets_own_picture_begins_when_the_jaws_close(make: Callable[..., TissueRetractEnv]) -> None:
-    env = make(BULLET, camera="3d", render_mode="rgb_array")
-    section = make(BULLET, render_mode="rgb_array")
-    frames = []
-    for each in (env, section):
-        each.reset(seed=0)
-        frames.append(each.render())
-        each.step(np.zeros(3))
-        frames.append(each.render())
-    assert all(frame is not None and frame.shape == (480, 640, 3) for frame in frames)
-    same = [bool(np.array_equal(a, b)) for a, b in zip(frames[:2], frames[2:], strict=True)]  # type: ignore[arg-type]
-    assert same == [True, False]
+@pytest.mark.parametrize("name", [FEM, BULLET, ROD])
+def test_frames_in_space(make: Callable[..., TissueRetractEnv], name: str) -> None:
+    env = make(name, camera="3d", render_mode="rgb_array")
+    env.reset(seed=0)
+    frames = [env.render()]
+    for action in (np.zeros(3), LIFT):
+        env.step(action)
+        frames.append(env.render())
+    assert len({frame.tobytes() for frame in frames if frame is not None}) == 3
+    again = make(name, camera="3d", render_mode="rgb_array")
+    again.reset(seed=0)
+    assert np.array_equal(again.render(), frames[0])  # type: ignore[arg-type]
+
+
+def test_pixels_through_the_camera_see_moves_and_are_no_section(
+    make: Callable[..., TissueRetractEnv],
+) -> None:
+    env, section = make(ROD, obs="pixels", view="camera"), make(ROD, obs="pixels")
+    first, _ = env.reset(seed=0)
+    assert not np.array_equal(first, section.reset(seed=0)[0])
+    held, lifted = env.step(np.zeros(3))[0], env.step(LIFT)[0]
+    for seen in (first, held, lifted):
+        assert seen in env.observation_space
+    assert len({seen.tobytes() for seen in (first, held, lifted)}) == 3
 
 
 def test_pixels_show_the_episode(make: Callable[..., TissueRetractEnv]) -> None:

@@ -31,7 +31,9 @@ def _report(rows: Sequence[Row]) -> Report:
     places, curves = strain_curves(rows, "ten_veins")
     beyond = {row["x"]: row["veins_beyond"] for row in rows}
     draw_strains(axes, list(range(len(places))), curves)
-    axes.set_xticks(range(len(places)), [f"{beyond[x]}\n{x * MM:.1f}" for x in places])
+    axes.set_xticks(
+        range(len(places)), [f"{beyond[x]}\n{x * MM:.1f}".replace("-", "\N{MINUS SIGN}") for x in places]
+    )
     axes.set_xlabel("veins between grasp and free end; grasp, mm from the fixed end")
     axes.set_title("ten veins, grasps between them")
     axes.text(axes.get_xlim()[0], 0.505, " not certified", fontsize=8.5, va="bottom")

@@ -14,10 +14,11 @@ from scipy.stats import spearmanr
 from baselines.jobs.journal import Row
 from baselines.paper.experiments import Experiment
 from baselines.paper.study import Agreement, Claim, Report, Study, new_figure, paper_scene
-from baselines.pictures.drawing import KPA_PER_MM, MM, draw_flap_at_rest
+from baselines.pictures.drawing import HALO, KPA_PER_MM, MM, draw_flap_at_rest
+from baselines.pictures.labels import Number, write_numbers
 from planners.deform_closure import NODES, PAIRS, Closure, brute_force, closure_grasps
 from planners.proposals import stable_grasps
-from retract_env.drawing.palette import GREY, LIMIT, VALUE
+from retract_env.drawing.palette import LIMIT, VALUE
 from retract_env.grasp import Grasp
 from retract_env.scene import Scene
 from retract_env.spring import SpringModel
@@ -94,7 +95,7 @@ def _experiments() -> list[Experiment]:
 def _report(rows: Sequence[Row]) -> Report:
     figure = new_figure(12.0, 6.2)
     panels = figure.subplots(3, len(rows), sharex="col", height_ratios=(0.55, 1.6, 1.6), squeeze=False)
-    claims, notes = [], []
+    claims, notes, drawn = [], [], []
     for column, row in enumerate(rows):
         scene, found = paper_scene(row["scene"]), closure_of(row)
         both = rankings(scene, found)
@@ -103,14 +104,22 @@ def _report(rows: Sequence[Row]) -> Report:
         k_spring = np.array(row["k_spring"])
         x = np.linspace(found.x[0], found.x[-1], FINE)
         exact = SpringModel(scene.tissue).k_eq(x)
-        _draw_curve(panels[1, column], x, exact, both.spring, VALUE, "spring model")
-        _draw_curve(panels[2, column], found.x, found.k, both.brute, LIMIT, "brute-force finite elements")
+        for panel, at, k, grasps, colour, title in (
+            (panels[1, column], x, exact, both.spring, VALUE, "spring model"),
+            (panels[2, column], found.x, found.k, both.brute, LIMIT, "brute-force finite elements"),
+        ):
+            drawn.append((panel, *_draw_curve(panel, at, k, grasps, colour, title)))
         panels[2, column].set_xlabel("mm from the fixed end")
         claims.append(_agreement(scene, both))
         claims.append(_cost(scene, row))
         notes.append(_ranks(scene, found, k_spring))
     for axes in panels[1:, 0]:
         axes.set_ylabel("stiffness, kPa/mm")
+    figure.draw_without_rendering()  # where the panels are is known then
+    figure.set_layout_engine("none")
+    for axes, places, curve in drawn:
+        numbers = [Number(place, str(rank), size=8.0) for rank, place in enumerate(places, 1)]
+        write_numbers(axes, numbers, curve, path_effects=HALO)
     table = [
         {
             "scene": row["scene"],
@@ -183,19 +192,18 @@ def _draw_flap(axes: Axes, scene: Scene) -> None:
     axes.set_axis_off()
 
 
-def _draw_curve(axes: Axes, x: Array, k: Array, grasps: Sequence[Grasp], colour: str, title: str) -> None:
-    """k: (p,) Pa/m at x (p,) m; the grasps with their rank."""
+def _draw_curve(
+    axes: Axes, x: Array, k: Array, grasps: Sequence[Grasp], colour: str, title: str
+) -> tuple[list[tuple[float, float]], Array]:
+    """k: (p,) Pa/m at x (p,) m. Returns where the grasps are drawn, in their rank's order, and the curve
+    (p, 2)."""
     axes.plot(x * MM, k * KPA_PER_MM, color=colour, linewidth=1.4)
     inner = k[np.abs(x - x.mean()) < 0.48 * np.ptp(x)] * KPA_PER_MM  # the very ends would flatten the rest
     axes.set_ylim(inner.min() - 0.2 * np.ptp(inner), inner.max() + 0.08 * np.ptp(inner))
-    for rank, grasp in enumerate(grasps, 1):
-        at = float(np.interp(grasp.x, x, k)) * KPA_PER_MM
-        axes.plot(grasp.x * MM, at, "o", color=colour, markersize=5, markerfacecolor="white")
-        axes.annotate(
-            str(rank), (grasp.x * MM, at), xytext=(0, -5), textcoords="offset points", ha="center", va="top",
-            fontsize=8, color=GREY,
-        )  # fmt: skip
+    places = [(g.x * MM, float(np.interp(g.x, x, k)) * KPA_PER_MM) for g in grasps]
+    axes.plot(*np.array(places).T, "o", color=colour, markersize=5, markerfacecolor="white")
     axes.set_title(f"{title}: the first {len(grasps)} stable grasps")
+    return places, np.column_stack((x * MM, k * KPA_PER_MM))
 
 
 STUDY = Study("fig7", "spring model against brute force", _experiments, _report)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.collections import PolyCollection
+from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import Normalize, to_rgb
 from numpy.typing import NDArray
 
@@ -20,7 +20,7 @@ from baselines.paper.study import Claim, Report, Study, new_figure, number, pape
 from baselines.pictures.drawing import MM, strain_map
 from planners import plan
 from planners.certify import Trial
-from retract_env.drawing.palette import GROUND, HATCH, INK, SIGHT
+from retract_env.drawing.palette import GROUND, HATCH, INK, SIGHT, VEIN_EDGE
 from retract_env.scene import Scene
 
 Array = NDArray[np.float64]
@@ -73,6 +73,27 @@ def draw_faces(axes: Axes, faces: Faces, camera: Camera, limit: float, colour: s
             linewidths=0.3,
             zorder=3,
         )
+    )
+
+
+def cut_edges(faces: Faces) -> Array:
+    """(k, 2, 3) mm, where a surface is cut on the near side of the flap: the edges of the faces there that no
+    other one has."""
+    found: dict[tuple[tuple[int, ...], ...], int] = {}
+    for corners in faces["corners"]:
+        points = np.array(corners).reshape(-1, 3)
+        if len(points) == 6 and points[:, 2].min() > 0:  # a triangle of the section, with its middles
+            ring = [tuple(p) for p in points.tolist()]
+            for pair in zip(ring, ring[1:] + ring[:1], strict=True):
+                edge = tuple(sorted(pair))
+                found[edge] = found.get(edge, 0) + 1
+    return np.array([edge for edge, count in found.items() if count == 1], float).reshape(-1, 2, 3) * 1e-3
+
+
+def _draw_cut(axes: Axes, faces: Faces, camera: Camera, colour: str, width: float) -> None:
+    lines = camera.flat(cut_edges(faces))
+    axes.add_collection(
+        LineCollection(list(lines), colors=colour, linewidths=width, zorder=3.2, capstyle="round")
     )
 
 
@@ -166,6 +187,9 @@ def _report(rows: Sequence[Row]) -> Report:
     draw_faces(panels[1], row["skin"], camera, limit, colour=PALE)
     draw_faces(panels[1], row["veins"], camera, limit)
     for axes in panels:
+        _draw_cut(axes, row["veins"], camera, VEIN_EDGE, 0.8)
+        _draw_cut(axes, row["skin"], camera, INK, 0.9)
+    for axes in panels:
         axes.autoscale_view()
     bar = ScalarMappable(Normalize(0.0, limit), strain_map())
     figure.colorbar(bar, ax=list(panels), shrink=0.5, label="strain, up to its limit")
@@ -188,7 +212,7 @@ def _report(rows: Sequence[Row]) -> Report:
         "Fig. 9: the wide flap",
         f"The flap of twenty veins, {flap} deep, is retracted by CTC with jaws over its whole depth, from "
         "the grasp that is best where it is 4.4 mm deep. Above the surface, below the veins in the pale "
-        "flap.",
+        "flap; where the flap ends, its outline and those of the veins.",
         [{k: v for k, v in row.items() if k not in ("skin", "veins", "jaws")}],
         figure,
         claims,

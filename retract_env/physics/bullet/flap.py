@@ -264,10 +264,6 @@ class BulletPhysics:
         """s, of Bullet, since the last move."""
         return self._step
 
-    def render_3d(self, width: int = 640, height: int = 480) -> NDArray[np.uint8]:
-        """The flap, the jaws and the bed as Bullet's software renderer sees them, (height, width, 3)."""
-        return self._world.picture(width, height)
-
     def _accept(self, pose: Array, progress: float) -> TissueState:
         kept = self._good
         self._good = self._points, pose, progress

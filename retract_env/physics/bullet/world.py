@@ -39,7 +39,6 @@ DAMPING = 3e-5
 """s, viscosity over elasticity: it stills fast shaking within a few time steps, and leaves slow swings."""
 UNIT_OF_TIME = 1e-3
 """s"""
-FLAP, JAW, BED = [0.87, 0.55, 0.5, 1.0], [0.25, 0.27, 0.32, 1.0], [0.6, 0.63, 0.68, 1.0]
 
 
 class World:
@@ -93,7 +92,6 @@ class World:
                 )
         # A flap that rests for two seconds would fall asleep and stay so.
         b.changeDynamics(self._flap, -1, activationState=b.ACTIVATION_STATE_DISABLE_SLEEPING, **self._at)
-        b.changeVisualShape(self._flap, -1, rgbaColor=FLAP, **self._at)
         self._jaws = [self._jaw(k) for k in range(2)]
         for jaw, nodes in zip(self._jaws, mesh.patches, strict=True):
             for node in nodes.tolist():
@@ -102,30 +100,19 @@ class World:
             b.createSoftBodyAnchor(self._flap, node, -1, -1, **self._at)  # takes its mass
         self._bed: int | None = None
         if scene.bed:
-            self._block(solid=False)
             self.want_bed(True)
 
     def _jaw(self, k: int) -> int:
-        """The lower (0) or the upper jaw (1), a box that is seen and not felt."""
-        b, tissue, jaws = self._bullet, self._scene.tissue, self._scene.jaws
-        thick = tissue.height / 8
-        half = [jaws.width / 2, thick, (jaws.depth or 1.1 * tissue.depth) / 2]
-        outside = [0.0, thick * (2 * k - 1), 0.0]
-        shape = b.createVisualShape(
-            b.GEOM_BOX, halfExtents=half, rgbaColor=JAW, visualFramePosition=outside, **self._at
-        )
-        at = [self._jaw_x, k * tissue.height + float(self._lift[1]), 0.0]
-        return int(b.createMultiBody(0, -1, shape, at, useMaximalCoordinates=1, **self._at))
+        """The lower (0) or the upper jaw (1): a body that nodes are tied to, without a shape."""
+        at = [self._jaw_x, k * self._scene.tissue.height + float(self._lift[1]), 0.0]
+        return int(self._bullet.createMultiBody(0, -1, -1, at, useMaximalCoordinates=1, **self._at))
 
-    def _block(self, solid: bool) -> int:
-        """The bed to be seen, or also to lie on."""
+    def _block(self) -> int:
+        """The bed to lie on."""
         b, tissue = self._bullet, self._scene.tissue
         half = [2 * tissue.length, tissue.height, tissue.depth + tissue.length / 4]
-        seen = b.createVisualShape(b.GEOM_BOX, halfExtents=half, rgbaColor=BED, **self._at)
-        felt = b.createCollisionShape(b.GEOM_BOX, halfExtents=half, **self._at) if solid else -1
-        return int(
-            b.createMultiBody(0, felt, seen, [0.0, -half[1], 0.0], useMaximalCoordinates=1, **self._at)
-        )
+        felt = b.createCollisionShape(b.GEOM_BOX, halfExtents=half, **self._at)
+        return int(b.createMultiBody(0, felt, -1, [0.0, -half[1], 0.0], useMaximalCoordinates=1, **self._at))
 
     @property
     def has_bed(self) -> bool:
@@ -136,7 +123,7 @@ class World:
         if not self._scene.bed or wanted == self.has_bed:
             return
         if self._bed is None:
-            self._bed = self._block(solid=True)
+            self._bed = self._block()
         else:
             self._bullet.removeBody(self._bed, **self._at)
             self._bed = None
@@ -171,19 +158,6 @@ class World:
     def stop(self) -> None:
         """Take all nodes' velocities."""
         self._bullet.resetBaseVelocity(self._flap, [0.0, 0.0, 0.0], [0.0, 0.0, 0.0], **self._at)
-
-    def picture(self, width: int, height: int) -> NDArray[np.uint8]:
-        """(height, width, 3), by Bullet's software renderer: it needs no display."""
-        b, length, depth = self._bullet, self._scene.tissue.length, self._scene.tissue.depth
-        target = [-0.5 * length, 0.3 * length, 0.0]
-        eye = [-0.9 * length, 0.8 * length, 1.5 * length + depth]
-        view = b.computeViewMatrix(eye, target, [0.0, 1.0, 0.0])
-        lens = b.computeProjectionMatrixFOV(40.0, width / height, 0.1 * length, 10 * length)
-        light = [-1.0, 3.0, 2.0]
-        image = b.getCameraImage(
-            width, height, view, lens, lightDirection=light, renderer=b.ER_TINY_RENDERER, **self._at
-        )
-        return np.reshape(np.asarray(image[2], np.uint8), (height, width, 4))[..., :3].copy()
 
 
 _one_at_a_time = threading.Lock()

@@ -189,7 +189,7 @@ def test_no_frames_is_an_error(ten: Plan, tmp_path: Path) -> None:
 
 def test_final_flap_is_drawn_where_its_nodes_are(ten: Plan) -> None:
     section = section_of(ten)
-    topology = SectionTopology(section)
+    topology = SectionTopology(section, ten.scene.tissue.veins)
     triangles = final_flap(retraction_figure(ten)).get_paths()
     drawn = np.array([np.asarray(path.vertices)[:3] for path in triangles])
     wanted = ten.certificate.frames[-1].points[topology.nodes[topology.faces]] * 1e3
@@ -209,7 +209,7 @@ def test_more_strain_is_always_darker() -> None:
 @pytest.mark.parametrize("straight", [False, True])
 def test_small_triangles_cover_the_section_once(ten: Plan, straight: bool) -> None:
     section = section_of(ten)
-    topology = SectionTopology(section)
+    topology = SectionTopology(section, ten.scene.tissue.veins)
     faces = topology.straight if straight else topology.faces
     a, b, c = np.moveaxis(section.points[topology.nodes[faces]], 1, 0)
     (ux, uy), (vx, vy) = (b - a).T, (c - a).T
@@ -220,13 +220,13 @@ def test_small_triangles_cover_the_section_once(ten: Plan, straight: bool) -> No
 
 def test_smoothing_keeps_uniform_strain_and_the_jump_at_a_vein(ten: Plan) -> None:
     section = section_of(ten)
-    smooth = SectionTopology(section).smooth(np.where(section.vein >= 0, 0.1, 0.3))
+    smooth = SectionTopology(section, ten.scene.tissue.veins).smooth(np.where(section.vein >= 0, 0.1, 0.3))
     assert set(smooth.round(12)) == {0.1, 0.3}
 
 
 def test_outline_and_vein_edges_have_the_length_of_their_polygons(ten: Plan) -> None:
     section = section_of(ten)
-    topology = SectionTopology(section)
+    topology = SectionTopology(section, ten.scene.tissue.veins)
     loop = section.points[topology.outline]
     np.testing.assert_allclose(loop[[0, -1]], 0.0, atol=1e-12)
     assert loop[1, 0] < 0  # the lower surface comes first

@@ -147,7 +147,7 @@ def test_parts_are_where_the_state_has_them(lift: Retraction) -> None:
     renderer, state = lift.renderer(), lift.states[-1]
     frame = renderer.draw(state)
     length = lift.scene.tissue.length
-    topology = SectionTopology(lift.physics.section)
+    topology = SectionTopology(lift.physics.section, lift.scene.tissue.veins)
     outline = state.points[topology.outline]
     dark = [nearby(renderer, frame, p, INK) for p in outline if p[1] > 1e-3]
     assert np.mean(np.array(dark) < 40) > 0.9  # jaws and the line of sight lie over some

@@ -360,22 +360,6 @@ def test_nothing_is_printed(make: Make, capfd: pytest.CaptureFixture[str]) -> No
     assert capfd.readouterr() == ("", "")
 
 
-def test_the_picture_shows_flap_jaws_and_bed(make: Make) -> None:
-    physics = make()
-    motion(physics)
-    picture = physics.render_3d(160, 120)
-    assert picture.shape == (120, 160, 3) and picture.dtype == np.uint8
-    r, g, b = np.moveaxis(picture.astype(int), -1, 0)
-    assert ((r > g + 25) & (r > b + 25)).sum() > 300  # flap
-    assert (np.maximum(np.maximum(r, g), b) < 75).sum() > 4  # jaws
-    grey = (np.ptp(picture.astype(int), axis=-1) < 30) & (r > 90) & (r < 220)
-    assert grey.sum() > 3000  # bed
-    before = physics.render_3d(160, 120)
-    assert np.array_equal(picture, before)
-    physics.reset()
-    assert not np.array_equal(picture, physics.render_3d(160, 120))
-
-
 def test_without_pybullet_the_error_says_what_to_do() -> None:
     code = """
 import sys

@@ -44,7 +44,6 @@ STILL = PhysicsKind("still", "TissueRetractStill-v0", MAKE, resolution="only", a
 def test_what_a_line_says_is_so(kind: PhysicsKind) -> None:
     assert PHYSICS[kind.name] is kind is physics_kind(kind.name)
     assert kind.resolution in kind.resolutions
-    assert kind.pictures == hasattr(kind.load(), "render_3d")
     assert bool(kind.needs) == bool(kind.install)
     assert EnvSettings(physics=kind.name).physics == kind.name
 
