@@ -24,8 +24,8 @@ MESH_ERRORS = {
     "fine": {"strain": 0.013, "friction": 0.008, "normal_force": 0.031, "place": 9.1e-5},
     "coarse": {"strain": 0.019, "friction": 0.030, "normal_force": 0.079},
 }
-"""Greatest differences to an independent code on four retractions (docs/verification.md): of eps_1% and of the
-normal force, parts of them; of the needed friction; of where the flap's tip is, m."""
+"""Greatest differences to an independent code on four retractions (docs/verification.md): of eps_1% and of
+the normal force, parts of them; of the needed friction; of where the flap's tip is, m."""
 PATCH_SLIP = 0.03
 """Part by which more friction is needed where tissue may creep under the jaws node by node, than what the
 forces on whole jaws tell."""
