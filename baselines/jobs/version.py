@@ -13,6 +13,7 @@ PACKAGES = ("retract_env", "planners", "baselines")
 NO_RESULTS = (
     "retract_env/drawing/",
     "baselines/pictures/",
+    "baselines/play/",
     "baselines/cli/",
     "baselines/benchmark/charts.py",
     "baselines/benchmark/curves.py",
