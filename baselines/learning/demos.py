@@ -9,9 +9,13 @@ from __future__ import annotations
 
 import base64
 import json
+import os
+import tempfile
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -33,6 +37,8 @@ SEED = 1
 both."""
 UNSAID = ("failure",)
 """What is not kept of the environment's `info`: no demonstration fails."""
+ROOT = "MINARI_DATASETS_PATH"
+"""The variable of the environment that tells Minari where its data sets are."""
 KWARGS: dict[str, Any] = {"scene": "random", "grasp": "agent"}
 """Arguments of the environment that the data set names."""
 
@@ -77,10 +83,11 @@ def demonstrate(task: WorkItem) -> Row:
     env.close()
     if not played.success:
         return row | {"failure": f"environment: {played.infos[-1]['failure'] or 'not_visible'}"}
-    return row | {"failure": "", "episode": _packed(played)}
+    return row | {"failure": "", "episode": packed(played)}
 
 
-def _packed(played: Rollout) -> dict[str, Any]:
+def packed(played: Rollout) -> dict[str, Any]:
+    """An episode as plain data, for a journal, and for `write_episodes`."""
     return {
         "observations": base64.b64encode(played.observations.astype(np.float32).tobytes()).decode(),
         "actions": base64.b64encode(played.actions.astype(np.float32).tobytes()).decode(),
@@ -108,23 +115,75 @@ def write_dataset(name: str, rows: Sequence[Row], task: WorkItem, command: str) 
 
     Raises DemosError where there are none, where the name is not one of Minari's, or is taken.
     """
-    minari = _minari()
-    from minari.data_collector.episode_buffer import EpisodeBuffer
-
     good = [row for row in rows if row["episode"] is not None]
     if not good:
         raise DemosError(f"{len(rows)} scenes, none demonstrated: {rows[0]['failure']}")
-    env = gym.make(PHYSICS[task["physics"]].env_id, **KWARGS)
+    kept = [
+        Kept(
+            row["episode"],
+            episode_seed(row["seed"]),
+            {
+                "scene_seed": [SEED, row["seed"]],
+                "scene_hash": row["scene_hash"],
+                "certificate": json.dumps(row["certificate"], sort_keys=True),
+            },
+        )
+        for row in good
+    ]
+    failed = {str(row["seed"]): row["failure"] for row in rows if row["episode"] is None}
+    write_episodes(
+        name,
+        kept,
+        PHYSICS[task["physics"]].env_id,
+        KWARGS,
+        str(task["planner"]),
+        f"Certified retractions of random flaps by the planner {task['planner']}.",
+        {"command": command, "certificates": task["resolution"], "failed_seeds": failed},
+    )
+    return len(good)
+
+
+@dataclass(frozen=True)
+class Kept:
+    """An episode that ended with success, as a data set keeps it."""
+
+    episode: Mapping[str, Any]
+    """as `packed` makes it"""
+    seed: int
+    """that the environment was reset with"""
+    about: Mapping[str, Any]
+    """what else is kept of it, numbers and texts by name"""
+
+
+def write_episodes(
+    name: str,
+    episodes: Sequence[Kept],
+    env_id: str,
+    kwargs: Mapping[str, Any],
+    author: str,
+    description: str,
+    about: Mapping[str, Any],
+) -> None:
+    """Make the Minari data set `name` of these episodes, whole or not at all.
+
+    env_id, kwargs: of the environment that they were played in; author: who or what played; about: what else
+    the data set keeps of itself, by name. Raises DemosError where Minari refuses, or the name is taken.
+    """
+    minari = _minari()
+    from minari.data_collector.episode_buffer import EpisodeBuffer
+
+    check_free(name)
+    env = gym.make(env_id, **kwargs)
     width, size = (gym.spaces.flatdim(space) for space in (env.observation_space, env.action_space))
     buffers = []
-    for number, row in enumerate(good):
-        episode = row["episode"]
+    for number, kept in enumerate(episodes):
+        episode = kept.episode
         steps = len(episode["rewards"])
         last = [k == steps - 1 for k in range(steps)]
         buffers.append(
             EpisodeBuffer(
                 id=number,
-                seed=episode_seed(row["seed"]),
+                seed=kept.seed,
                 observations=list(_unpacked(episode["observations"], width)),
                 actions=list(_unpacked(episode["actions"], size)),
                 rewards=episode["rewards"],
@@ -134,39 +193,40 @@ def write_dataset(name: str, rows: Sequence[Row], task: WorkItem, command: str) 
             )
         )
     try:
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), _built_beside(name):
             warnings.simplefilter("ignore")  # of what it would like to know besides
             dataset = minari.create_dataset_from_buffers(
-                name,
-                buffers,
-                env=env,
-                algorithm_name=str(task["planner"]),
-                description=f"Certified retractions of random flaps by the planner {task['planner']}.",
+                name, buffers, env=env, algorithm_name=author, description=description
             )
+            dataset.storage.update_episode_metadata([dict(kept.about) for kept in episodes])
+            dataset.storage.update_metadata({"retract_version": retract_env.__version__, **about})
     except (ValueError, OSError) as error:
         raise DemosError(f"dataset {name}: {error}") from None
     finally:
         env.close()
-    dataset.storage.update_episode_metadata(
-        [
-            {
-                "scene_seed": [SEED, row["seed"]],
-                "scene_hash": row["scene_hash"],
-                "certificate": json.dumps(row["certificate"], sort_keys=True),
-            }
-            for row in good
-        ]
-    )
-    failed = {str(row["seed"]): row["failure"] for row in rows if row["episode"] is None}
-    dataset.storage.update_metadata(
-        {
-            "command": command,
-            "retract_version": retract_env.__version__,
-            "certificates": task["resolution"],
-            "failed_seeds": failed,
-        }
-    )
-    return len(good)
+
+
+@contextmanager
+def _built_beside(name: str) -> Iterator[None]:
+    """What Minari makes in the block is made in a folder of its own; the data set gets its place when the
+    block ends well, and nothing is left of it where not."""
+    from minari.storage import get_dataset_path
+
+    place, root = get_dataset_path(name), get_dataset_path()
+    before = os.environ.get(ROOT)
+    with tempfile.TemporaryDirectory(prefix=".unfinished-", dir=root) as folder:
+        os.environ[ROOT] = folder
+        try:
+            yield
+        finally:
+            del os.environ[ROOT]
+            if before is not None:
+                os.environ[ROOT] = before
+        place.parent.mkdir(parents=True, exist_ok=True)
+        (Path(folder) / name).rename(place)
+        for file in Path(folder).rglob("*.*"):  # what Minari says of a namespace, beside its data sets
+            if file.is_file() and not (there := root / file.relative_to(folder)).exists():
+                file.rename(there)
 
 
 @dataclass(frozen=True)
