@@ -47,9 +47,10 @@ DEAD = 0.15
 """of a stick's way, within which it counts as at rest"""
 AGAIN = 0.15
 """s after which a held U takes back another move"""
-LEFT_X, LEFT_Y, RIGHT_X = 0, 1, 2
-"""Axes of a gamepad, as SDL numbers them; the right stick's is 3 where 2 is a trigger."""
-RIGHT_X_LATER = 3
+LEFT_X, LEFT_Y, RIGHT_X, RIGHT_X_LATER = 0, 1, 2, 3
+"""Axes of a gamepad, as SDL numbers them. The right stick's is the last where number 2 is a trigger."""
+TRIGGER = -0.5
+"""Where a trigger is heard of first, or below: it rests at -1, a stick at 0."""
 
 
 class Controls:
@@ -60,6 +61,7 @@ class Controls:
         self._to_metres = to_metres
         self._keys: set[int] = set()
         self._axes: dict[int, float] = {}
+        self._right = RIGHT_X_LATER
         self._shoulders: set[int] = set()
         self._turning = 0.0
         self._firmer = 0.0
@@ -120,8 +122,11 @@ class Controls:
         elif event.type == pygame.JOYDEVICEREMOVED:
             self._pads.pop(event.instance_id, None)
             self._axes.clear()
+            self._right = RIGHT_X_LATER
             self._shoulders.clear()
         elif event.type == pygame.JOYAXISMOTION:
+            if event.axis == RIGHT_X and RIGHT_X not in self._axes:
+                self._right = RIGHT_X if event.value > TRIGGER else RIGHT_X_LATER
             self._axes[event.axis] = event.value
         elif event.type == pygame.JOYBUTTONDOWN:
             self._shoulders |= {event.button} & SHOULDERS.keys()
@@ -153,8 +158,7 @@ class Controls:
         pose: (4,) of the jaws now; turn_speed: rad/s of a turn by 1; seconds: that the frame stands for.
         """
         x, y, turn = (sum(HELD[key][axis] for key in self._keys if key in HELD) for axis in range(3))
-        right = RIGHT_X_LATER if RIGHT_X_LATER in self._axes else RIGHT_X
-        sticks = [self._stick(axis) for axis in (LEFT_X, LEFT_Y, right)]
+        sticks = [self._stick(axis) for axis in (LEFT_X, LEFT_Y, self._right)]
         across, up = x + sticks[0], y - sticks[1]
         turned = turn - sticks[2] + sum(SHOULDERS[button] for button in self._shoulders)
         slow = not self._keys.isdisjoint(SHIFT)

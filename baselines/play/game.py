@@ -21,6 +21,9 @@ from retract_env.env import TissueRetractEnv
 OLD, NEW = "ctc", "swift"
 """The planner of 2009, and the one that is asked where no best strain is known."""
 
+NAMED = 18
+"""Characters of a scene's name for which there is room."""
+
 
 class Command(Enum):
     """What a person may ask for once, by a key, a click or a button."""
@@ -285,6 +288,5 @@ class Game:
 
     @property
     def _scene(self) -> str:
-        if self._recorder is None:
-            return self.dealt.name
-        return f"{self.dealt.name}, {len(self._recorder)} recorded"
+        name = self.dealt.name if len(self.dealt.name) <= NAMED else f"{self.dealt.name[:NAMED]}\u2026"
+        return name if self._recorder is None else f"{name}, {len(self._recorder)} recorded"

@@ -37,6 +37,7 @@ class Window:
         """paced: keeps to FRAMES a second; else as fast as it goes, each frame standing for as long as it
         should take. Raises NoWindow."""
         self.game = game
+        Screen(pygame.Surface(SIZE)).draw(game)  # once before it opens: a first run compiles what draws
         self._surface = _opened()
         pygame.display.set_caption(TITLE)
         pygame.joystick.init()

@@ -127,6 +127,7 @@ def test_a_gamepads_sticks_are_analog_and_at_rest_near_their_middle() -> None:
     asked = controls()
     asked.read(axis(0, 1.0), False)
     asked.read(axis(1, -1.0), False)  # a stick counts downwards
+    asked.read(axis(2, 0.01), False)
     asked.read(axis(2, DEAD + (1 - DEAD) / 2), False)
     now = drive(asked)
     assert asked.has_pad
@@ -134,6 +135,21 @@ def test_a_gamepads_sticks_are_analog_and_at_rest_near_their_middle() -> None:
     for number in range(3):
         asked.read(axis(number, 0.9 * DEAD), False)
     assert drive(asked) == Drive()
+
+
+def test_a_trigger_is_no_stick() -> None:
+    """Pads differ in which axis is the right stick's; a trigger rests at -1."""
+    asked = controls()
+    asked.read(axis(3, 1.0), False)
+    assert drive(asked).turn == -1
+    asked.read(axis(2, -0.98), False)
+    asked.read(axis(2, 1.0), False)
+    assert drive(asked).turn == -1
+    other = controls()
+    other.read(axis(2, 0.05), False)
+    other.read(axis(2, -1.0), False)
+    other.read(axis(3, 0.9), False)  # up and down here
+    assert drive(other).turn == 1
 
 
 def test_a_gamepads_buttons() -> None:
