@@ -21,6 +21,7 @@ from baselines.cli.console import tell_error
 from baselines.cli.demos import demos_command
 from baselines.cli.evaluate import evaluate_command
 from baselines.cli.plan import plan_command
+from baselines.cli.play import play_command
 from baselines.cli.reproduce import reproduce_command
 from baselines.cli.train import train_command
 
@@ -36,6 +37,7 @@ app = typer.Typer(
 app.command("plan")(plan_command)
 app.command("compare")(compare_command)
 app.command("certify")(certify_command)
+app.command("play")(play_command)
 app.command("reproduce")(reproduce_command)
 app.command("demos")(demos_command)
 app.command("train")(train_command)
