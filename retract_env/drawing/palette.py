@@ -16,6 +16,8 @@ WHITE, INK, GREY, STEEL = "#ffffff", "#22282e", "#6d757d", "#39444f"
 TISSUE, VEIN, VEIN_EDGE = "#f7e1d3", "#9fcdea", "#1b3a5c"
 SIGHT, VALUE, LIMIT = "#00805f", "#0072b2", "#d55e00"
 GROUND, HATCH, HIDDEN, WEDGE = "#eceef0", "#c9ced3", "#c7ccd1", "#e3f1ec"
+METHODS = (GREY, VALUE, "#7d5ba6", "#009e73", "#cc79a7")
+"""Of plans or methods that are compared, in turn."""
 HIDDEN_VEIL = "#b4bbc2", 0.75
 """Colour and opacity of HIDDEN where what lies behind shows through: over white it is HIDDEN."""
 PALE_VALUE = "#b9d3e6"
