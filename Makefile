@@ -7,13 +7,14 @@ PYTEST_ARGS ?= -n auto --maxprocesses 8
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 
-.PHONY: help demo bullet test test-slow lint format typecheck bench clean
+.PHONY: help demo bullet test test-slow lint format typecheck live bench clean
 
 help:
 	@echo "make demo       retract configs/scenes/ten_veins.yaml as in 2009 and with swift, side by side, into $(OUT)"
 	@echo "make bullet     install PyBullet where there is no wheel of it, compiling for ten minutes"
 	@echo "make test       run the tests;  make test-slow: the slow ones too"
 	@echo "make lint       ruff;  make format: ruff, rewriting;  make typecheck: mypy"
+	@echo "make live       make docs/live/ten_veins.html again"
 	@echo "make bench      measure speed and accuracy"
 	@echo "make clean      remove $(VENV) and caches"
 	@echo "PYTHON=/path/to/python3 chooses the interpreter"
@@ -49,6 +50,12 @@ format: $(VENV)/.installed-dev
 
 typecheck: $(VENV)/.installed-dev
 	$(BIN)/mypy
+
+# The page that docs/view.md shows.
+live: $(VENV)/.installed
+	$(BIN)/retract plan ten_veins --planner ctc --robust --no-pictures --out $(OUT)ctc
+	$(BIN)/retract plan ten_veins --planner swift --robust --no-pictures --out $(OUT)swift
+	$(BIN)/retract view $(OUT)ctc $(OUT)swift --out docs/live/ten_veins.html
 
 bench: $(VENV)/.installed-dev
 	@for script in benchmarks/[a-z]*.py; do echo "== $$script"; $(BIN)/python "$$script" || exit 1; done
