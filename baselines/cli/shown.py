@@ -242,7 +242,7 @@ def _differs(scene: Scene, grasp: Grasp, z: Any) -> list[str]:
         elif name == "poisson":
             said = f"\N{GREEK SMALL LETTER NU} = {value:.3f}" if scene.uncertainty.poisson else ""
         else:
-            said = f"{100 * (value - 1):+.0f} %" if abs(value - 1) > 1e-9 else ""
+            said = f"{100 * (value - 1):+.0f} %" if abs(value - 1) >= 5e-3 else ""
         if (name == "force") == (grasp.force is None) and name in ("force", "closing"):
             continue  # the other kind of grip
         if said:

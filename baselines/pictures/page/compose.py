@@ -91,19 +91,19 @@ def page(plans: Sequence[Shown], pair: Sequence[int] | None = None) -> str:
         "plans": [_plan_data(k, plan) for k, plan in enumerate(plans)],
     }
     return _filled(
-        _file("page.html"),
+        part("page.html"),
         {
             "title": escape(heading),
             "heading": escape(heading),
             "lead": lead,
-            "css": _filled(_file("page.css"), palette_data()),
+            "css": _filled(part("page.css"), palette_data()),
             "many": "two" if len(pair) > 1 else "one",
             "views": "\n".join(_view(k, plans) for k in pair),
             "plans": "\n".join(_card(k, plan) for k, plan in enumerate(plans)),
             "footer": escape(f"Made by retract {__version__}. What is shown is a simulation, not a patient."),
             "data": script_json(data),
-            "three": in_script(_file("three.min.js")),
-            "script": in_script("\n".join(_file(name) for name in SCRIPTS)),
+            "three": in_script(part("three.min.js")),
+            "script": in_script("\n".join(part(name) for name in SCRIPTS)),
         },
     )
 
@@ -124,7 +124,8 @@ def in_script(code: str) -> str:
 
 
 @cache
-def _file(name: str) -> str:
+def part(name: str) -> str:
+    """The text of a file that lies beside this one."""
     return files(__package__).joinpath(name).read_text("utf-8")
 
 

@@ -54,11 +54,12 @@ async function begin() {
     const select = view.holder.querySelector("select");
     if (select) select.value = String(plan);
     const badge = view.holder.querySelector(".badge");
-    badge.textContent = verdict;
-    badge.classList.toggle("bad", !good);
+    badge.textContent = tried ? "not certified: by the rod" : verdict;
+    badge.classList.toggle("bad", !good && !tried);
+    badge.classList.toggle("rod", Boolean(tried));
     const note = view.holder.querySelector(".note");
     note.hidden = !tried;
-    note.querySelector("span").textContent = tried ? `${title}, followed by the rod: quick and approximate, not certified.` : "";
+    note.querySelector("span").textContent = tried ? `${title[0].toUpperCase()}${title.slice(1)}, followed by the rod: quick and approximate, not certified.` : "";
     if (view.stage) {
       view.stage.furnish(scene);
       view.stage.put(flap);

@@ -116,3 +116,12 @@ def test_the_method_of_2009_comes_first_and_the_best_of_the_others_second() -> N
     assert first_pair(["swift", "ctc", "eased", "x"], [certified, best, fragile, failed]) == [1, 0]
     assert first_pair(["swift", "eased", "ctc"], [certified, best, failed]) == [2, 1]
     assert first_pair(["eased", "x", "swift"], [certified, failed, best]) == [0, 2]
+
+
+def test_a_page_beside_a_plan_that_is_made(tmp_path: Path) -> None:
+    asked = ["--planner", "ctc", "--resolution", "coarse", "--no-pictures", "--out", str(tmp_path / "out")]
+    page = tmp_path / "pages" / "lift.html"
+    assert main(["plan", "homogeneous", *asked, "--html", str(page)]) == 0
+    (plan,) = data_of(page)["plans"]
+    assert plan["verdict"] == "certified" and plan["tried"] == {}
+    assert "`retract view` on this plan" in page.read_text("utf-8")

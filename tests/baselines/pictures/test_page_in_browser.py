@@ -200,6 +200,7 @@ def test_a_candidate_opens_and_moves_by_the_rod(tab: Any) -> None:
     assert "Candidate 1: grasped" in tab.inner_text("tr.told:not([hidden])")
     tab.click("button[data-tried]")
     tab.wait_for_selector(".note:not([hidden]) >> text=not certified")
+    assert tab.inner_text(".view .badge") == "not certified: by the rod"
     tab.evaluate("retract.stop(); retract.goTo(1)")
     drawn(tab)
     fine = places(tab, 1)[:, :2]
@@ -208,6 +209,7 @@ def test_a_candidate_opens_and_moves_by_the_rod(tab: Any) -> None:
     assert np.abs(places(tab)[:, :2].max(axis=0) - fine.max(axis=0)).max() < 3
     tab.click(".note:not([hidden]) button")
     tab.wait_for_selector(".note", state="hidden")
+    assert tab.inner_text(".view .badge") == "certified"
 
 
 def test_what_can_be_used_has_a_name(tab: Any) -> None:
