@@ -7,7 +7,7 @@ PYTEST_ARGS ?= -n auto --maxprocesses 8
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 
-.PHONY: help demo bullet test test-slow docs notebooks lint format typecheck bench clean
+.PHONY: help demo bullet test test-slow docs notebooks lint format typecheck live bench clean
 
 help:
 	@echo "make demo       retract configs/scenes/ten_veins.yaml as in 2009 and with swift, side by side, into $(OUT)"
@@ -15,6 +15,7 @@ help:
 	@echo "make test       run the tests;  make test-slow: the slow ones too"
 	@echo "make docs       build the documentation's site, site/index.html;  make notebooks: execute its notebooks"
 	@echo "make lint       ruff;  make format: ruff, rewriting;  make typecheck: mypy"
+	@echo "make live       make docs/live/ten_veins.html again"
 	@echo "make bench      measure speed and accuracy"
 	@echo "make clean      remove $(VENV) and caches"
 	@echo "PYTHON=/path/to/python3 chooses the interpreter"
@@ -59,6 +60,12 @@ format: $(VENV)/.installed-dev
 
 typecheck: $(VENV)/.installed-dev
 	$(BIN)/mypy
+
+# The page that docs/view.md shows.
+live: $(VENV)/.installed
+	$(BIN)/retract plan ten_veins --planner ctc --robust --no-pictures --out $(OUT)ctc
+	$(BIN)/retract plan ten_veins --planner swift --robust --no-pictures --out $(OUT)swift
+	$(BIN)/retract view $(OUT)ctc $(OUT)swift --out docs/live/ten_veins.html
 
 bench: $(VENV)/.installed-dev
 	@for script in benchmarks/[a-z]*.py; do echo "== $$script"; $(BIN)/python "$$script" || exit 1; done

@@ -52,6 +52,14 @@ sys.exit(main(["plan", "ten_veins", "--resolution", "coarse", "--no-pictures"]))
     assert {path.name for path in tmp_path.iterdir()} == {"out"}
 
 
+def test_a_page_finds_its_parts(wheel: Path, tmp_path: Path) -> None:
+    code = """
+from baselines.pictures.page.compose import SCRIPTS, part
+print(all(part(name) for name in (*SCRIPTS, "page.html", "page.css", "three.min.js", "three.LICENSE")))
+"""
+    assert run(wheel, tmp_path, code) == "True\n"
+
+
 def test_an_environment_is_made_of_a_shipped_scene(wheel: Path, tmp_path: Path) -> None:
     code = """
 import gymnasium as gym

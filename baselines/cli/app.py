@@ -24,6 +24,7 @@ from baselines.cli.plan import plan_command
 from baselines.cli.play import play_command
 from baselines.cli.reproduce import reproduce_command
 from baselines.cli.train import train_command
+from baselines.cli.view import view_command
 
 ALLOCATIONS = 50_000
 """of containers between two searches for garbage; beside them an array of a fine mesh is large"""
@@ -38,6 +39,7 @@ app.command("plan")(plan_command)
 app.command("compare")(compare_command)
 app.command("certify")(certify_command)
 app.command("play")(play_command)
+app.command("view")(view_command)
 app.command("reproduce")(reproduce_command)
 app.command("demos")(demos_command)
 app.command("train")(train_command)

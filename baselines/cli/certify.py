@@ -62,8 +62,8 @@ def certify_command(
             import planners
             from baselines.cli.progress import Under
             from retract_env.errors import MeshError
-        scene, grasp, path = _read_plan(plan_file)
-        said = None if check is None else _read_certificate(check)
+        scene, grasp, path = read_plan(plan_file)
+        said = None if check is None else read_certificate(check)
         if out is not None:
             stack.enter_context(usable_folder(out.parent))
             check_no_folder(out)
@@ -129,7 +129,8 @@ def _compare(file: str, said: Certificate, found: Certificate) -> None:
     typer.echo(f"{file}: computed again, all the same")
 
 
-def _read_certificate(file: Path) -> Certificate:
+def read_certificate(file: Path) -> Certificate:
+    """Raises BadInput."""
     from planners.certify import Certificate
     from retract_env.config import read_json
     from retract_env.mesh import RESOLUTIONS
@@ -143,7 +144,8 @@ def _read_certificate(file: Path) -> Certificate:
     return said
 
 
-def _read_plan(file: Path) -> tuple[Scene, Grasp, JawPath]:
+def read_plan(file: Path) -> tuple[Scene, Grasp, JawPath]:
+    """Raises BadInput."""
     from planners.base import plan_from_json
     from planners.certify import Trial
     from retract_env.config import read_json

@@ -21,6 +21,7 @@ from baselines.cli.console import (
 from baselines.cli.plan import write_plan
 from baselines.cli.robust import hurts, percent, stated
 from baselines.cli.verdict import Clock, ResolutionOption
+from baselines.cli.view import PAGE, page_of, write_page
 from baselines.jobs.files import written_whole
 from baselines.pictures.painter import Painter
 
@@ -45,14 +46,15 @@ def compare_command(
     ],
     out: Annotated[
         Path,
-        typer.Option(help="Folder for comparison.png, a folder for each plan, and pictures of the best."),
+        typer.Option(help="Folder for comparison.png, view.html, the plans, and pictures of the best."),
     ] = Path("out"),
     resolution: ResolutionOption = "fine",
     workers: Annotated[
         int | None, typer.Option(min=1, help="Threads; as many as cores if not given.")
     ] = None,
     pictures: Annotated[
-        bool, typer.Option("--pictures/--no-pictures", help="Draw comparison.png and the best one's film.")
+        bool,
+        typer.Option("--pictures/--no-pictures", help="Draw comparison.png, view.html and a film."),
     ] = True,
 ) -> None:
     """Plan as in 2009 and with swift, by position and by force, and show side by side what each survives."""
@@ -92,6 +94,9 @@ def compare_command(
             for name, plan in plans.items():
                 write_plan(plan, stack.enter_context(usable_folder(folder / name)))
         typer.echo("written: " + ", ".join(str(path) for path in written))
+        if pictures:
+            with clock.phase("page"):
+                write_page(folder / PAGE, page_of(list(plans.values())))
         typer.echo(clock.summary())
 
 

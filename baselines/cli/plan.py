@@ -16,12 +16,14 @@ from baselines.cli.console import (
     BadInput,
     NotCertified,
     announce_compilation,
+    check_no_folder,
     exit_codes,
     usable_folder,
     writing,
 )
 from baselines.cli.robust import RobustOption, old_worst_cases, stated, worst_cases
 from baselines.cli.verdict import Clock, ResolutionOption, VerifyOption, check_robust, report
+from baselines.cli.view import page_of, write_page
 from baselines.jobs.files import write_json, written_whole
 from baselines.pictures.painter import Painter
 
@@ -62,6 +64,10 @@ def plan_command(
         bool, typer.Option("--pictures/--no-pictures", help="Draw retraction.png and the film.")
     ] = True,
     film: Annotated[Literal["gif", "mp4"], typer.Option("--format", help="Format of the film.")] = "gif",
+    html: Annotated[
+        Path | None,
+        typer.Option("--html", metavar="FILE", help="Write also a page that shows the plan in 3D, moving."),
+    ] = None,
 ) -> None:
     """Find the certified retraction with least strain, and write it with its certificate and pictures."""
     clock = Clock()
@@ -76,6 +82,9 @@ def plan_command(
         except SceneError as problem:
             raise BadInput(str(problem)) from None
         folder = stack.enter_context(usable_folder(out))
+        if html is not None:
+            stack.enter_context(usable_folder(html.parent))
+            check_no_folder(html)
         with clock.phase("imports"):
             import planners
             from baselines.cli.candidates import CandidateTable
@@ -116,6 +125,9 @@ def plan_command(
         with clock.phase("pictures and files"):
             written = write_plan(best, folder, drawn)
         typer.echo("written: " + ", ".join(str(path) for path in written))
+        if html is not None:
+            with clock.phase("page"):
+                write_page(html, page_of([best]))
         typer.echo(clock.summary(best.timings))
         check_robust(best.certificate)
 

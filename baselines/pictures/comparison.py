@@ -30,7 +30,7 @@ from baselines.pictures.drawing import (
     strain_map,
     view_limits,
 )
-from retract_env.drawing.palette import GREY, INK, LIMIT, VALUE
+from retract_env.drawing.palette import GREY, INK, LIMIT, METHODS
 from retract_env.drawing.shapes import SectionTopology
 
 if TYPE_CHECKING:
@@ -47,8 +47,6 @@ EXPLAINED = (
     "motion may fail, at most",
 )
 LONGEST = 60  # characters over a panel
-COLOURS = (GREY, VALUE, "#7d5ba6", "#009e73", "#cc79a7")
-"""Of the methods in turn."""
 
 
 @dataclass(frozen=True)
@@ -143,7 +141,7 @@ def _of(one: Compared, name: str) -> float:
 
 
 def _colour(i: int) -> str:
-    return COLOURS[i % len(COLOURS)]
+    return METHODS[i % len(METHODS)]
 
 
 def _facts(one: Compared) -> str:

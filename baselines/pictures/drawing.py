@@ -20,6 +20,7 @@ from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 
 from baselines.pictures.labels import name_level
+from baselines.pictures.steps import drawn_out
 from retract_env.drawing.gauges import needed_friction
 from retract_env.drawing.palette import (
     GREY,
@@ -217,20 +218,14 @@ def drawn_frames(certificate: Certificate) -> tuple[tuple[TissueState, ...], Sec
     return certificate.frames, certificate.section
 
 
-SQUEEZE_STEPS = 4.0
-"""Steps of the path that the squeeze takes in curves: from rest to closed jaws."""
-
-
 def squeeze_end(frames: Sequence[TissueState]) -> int:
     """Index of the last frame of the squeeze."""
     return max(0, sum(f.progress <= 1.0 + 1e-9 for f in frames) - 1)
 
 
 def path_steps(frames: Sequence[TissueState]) -> Array:
-    """(n,) how far along the path each frame is, in waypoints, the squeeze drawn out to SQUEEZE_STEPS of
-    them."""
-    progress = np.array([frame.progress for frame in frames], float)
-    return np.where(progress <= 1, SQUEEZE_STEPS * progress, SQUEEZE_STEPS - 1 + progress)
+    """(n,) how far along the path each frame is, in waypoints, as `drawn_out`."""
+    return drawn_out([frame.progress for frame in frames])
 
 
 def draw_histories(

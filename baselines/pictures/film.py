@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import io
-import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -33,6 +32,7 @@ from baselines.pictures.drawing import (
     strain_map,
     view_limits,
 )
+from baselines.pictures.steps import shown_frames
 from baselines.pictures.still import heading, verdict
 from retract_env.drawing.palette import GREY, LIMIT, PALE_VALUE, SIGHT, VALUE
 from retract_env.drawing.shapes import SectionTopology
@@ -43,7 +43,6 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 DPI, WIDTH_PX = 100, 800
-MOST_FRAMES = 60
 PAUSE_S = 2.0
 
 
@@ -70,20 +69,6 @@ def film(plan: Plan, kind: str, fps: int = 20) -> bytes:
     with matplotlib.rc_context(STYLE):
         images = list(animation_images(plan))
     return _gif(images, fps) if kind == "gif" else _mp4(images, fps)
-
-
-def shown_frames(steps: Array) -> list[int]:
-    """Indices of the frames in the film, evenly along the path, at most 60 of them.
-
-    steps: (n,) along the path, as `path_steps`. The first and the last are among them; where the certifier
-    looked between its increments the motion does not slow down.
-    """
-    if len(steps) == 1:
-        return [0]
-    usual = float(np.median(np.diff(steps)))
-    count = min(len(steps), MOST_FRAMES, math.ceil((steps[-1] - steps[0]) / usual - 1e-9) + 1)
-    even = np.linspace(steps[0], steps[-1], count)
-    return sorted({int(np.abs(steps - step).argmin()) for step in even})
 
 
 def animation_images(plan: Plan) -> Iterator[Image.Image]:

@@ -45,7 +45,10 @@ class SectionTopology:
         self.nodes: Ints = vertices % count
         self.faces: Ints = np.ascontiguousarray(self._vertex[:, _SMALL].reshape(-1, 3))
         self.straight: Ints = self._vertex[:, :3]
-        rings = [_embedded(section, _ring(vein.outline, section)) for vein in veins]
+        rings = []
+        for one in veins:
+            within, shares = embedded(section, vein_ring(one.outline, section))
+            rings.append((triangles[within].astype(np.intp), shares))
         gap = np.zeros((1, 6), np.intp), np.full((1, 6), np.nan)
         self._ring_nodes, self._ring_shares = (
             np.concatenate([np.concatenate((ring[k], gap[k])) for ring in rings] or [gap[k][:0]])
@@ -63,7 +66,7 @@ class SectionTopology:
         return np.bincount(self._vertex.ravel(), np.repeat(strain, 6)) / self._shares
 
 
-def _ring(outline: Sequence[tuple[float, float]], section: SectionMesh) -> Array:
+def vein_ring(outline: Sequence[tuple[float, float]], section: SectionMesh) -> Array:
     """(k, 2) m, a closed outline in pieces so short that they may bend with the tissue."""
     corners = np.array([*outline, outline[0]])
     longest = np.ptp(section.points[:, 1]) / 8
@@ -74,8 +77,9 @@ def _ring(outline: Sequence[tuple[float, float]], section: SectionMesh) -> Array
     return np.concatenate([*pieces, corners[:1]])
 
 
-def _embedded(section: SectionMesh, places: Array) -> tuple[Ints, Array]:
-    """Nodes (k, 6) and their shares (k, 6) that move the places (k, 2) m along with their triangles."""
+def embedded(section: SectionMesh, places: Array) -> tuple[Ints, Array]:
+    """The triangles (k,) that the places (k, 2) m lie in, and the shares (k, 6) of their nodes that move the
+    places along with them."""
     corners = section.corners
     d1, d2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     off = places[:, None] - corners[:, 0]
@@ -85,7 +89,7 @@ def _embedded(section: SectionMesh, places: Array) -> tuple[Ints, Array]:
     low = np.stack([1 - b - c, b, c], axis=-1)
     triangle = low.min(axis=-1).argmax(axis=1)  # the one that it lies in, or misses by rounding
     shares = quadratic_shares(low[np.arange(len(places)), triangle])
-    return np.asarray(section.triangles, np.intp)[triangle], shares
+    return np.asarray(triangle, np.intp), shares
 
 
 def _loop(points: Array, boundary: NDArray[np.integer]) -> Ints:

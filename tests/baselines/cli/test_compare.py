@@ -67,7 +67,8 @@ def test_the_table_the_plans_and_the_pictures(
         assert (out / folder / "worst-1.json").exists()
     assert "allowed" in text
     assert {file.name for file in out.iterdir()} == {
-        *(folder for folder, *_ in METHODS), "comparison.png", "retraction.png", "retraction.gif",
+        *(folder for folder, *_ in METHODS), "comparison.png", "view.html",
+        "retraction.png", "retraction.gif",
     }  # fmt: skip
 
 

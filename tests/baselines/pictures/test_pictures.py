@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from PIL import Image, ImageSequence
 
 from baselines.pictures.drawing import path_steps, strain_map
-from baselines.pictures.film import animate_retraction, shown_frames
+from baselines.pictures.film import animate_retraction
+from baselines.pictures.steps import shown_frames
 from baselines.pictures.stiffness import ranked
 from baselines.pictures.still import draw_retraction, retraction_figure, verdict
 from planners.base import Candidate, Plan
