@@ -101,7 +101,7 @@ def profile_chart(scores: Mapping[str, Array]) -> bytes:
         )
         if names
     ]
-    return _png(draw, 3.6 + 0.2 * len(said), "\n".join(said))
+    return _png(draw, 3.6 + 0.2 * len(said), note="\n".join(said))
 
 
 def compared(scores: Mapping[str, Array]) -> tuple[list[str], list[str], list[str]]:
