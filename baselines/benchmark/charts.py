@@ -125,18 +125,24 @@ def curve_chart(curves: Mapping[str, Sequence[Sequence[Mapping[str, Any]]]]) -> 
                 parts = [np.array([line["steps"] for line in run], np.float64) for run in runs]
                 at = np.unique(np.concatenate([steps / steps[-1] for steps in parts]))
                 at = at[at >= max(steps[0] / steps[-1] for steps in parts)]
-                values = np.array(
+                values = np.ma.masked_invalid(
                     [
-                        np.interp(at, steps / steps[-1], [line.get(column, np.nan) for line in run])
+                        np.interp(at, steps / steps[-1], _column(run, column))
                         for steps, run in zip(parts, runs, strict=True)
                     ]
                 )
                 style: dict[str, Any] = {"color": LINES[k % len(LINES)], "ls": DASHES[k // len(LINES)]}
                 seeds = f" ({len(runs)} seeds)" if len(runs) > 1 else ""
-                axes.plot(at, values.mean(axis=0), lw=1.4, marker=".", label=f"{name}{seeds}", **style)
-                axes.fill_between(
-                    at, values.min(axis=0), values.max(axis=0), alpha=0.2, lw=0, fc=style["color"]
+                axes.plot(
+                    at,
+                    values.mean(axis=0).filled(np.nan),
+                    lw=1.4,
+                    marker=".",
+                    label=f"{name}{seeds}",
+                    **style,
                 )
+                ends = [end.filled(np.nan) for end in (values.min(axis=0), values.max(axis=0))]
+                axes.fill_between(at, *ends, alpha=0.2, lw=0, fc=style["color"])
             axes.set_xlim(0, 1.01)
             axes.set_ylim(bottom=0)
             axes.xaxis.set_major_formatter(PercentFormatter(1))
@@ -147,6 +153,11 @@ def curve_chart(curves: Mapping[str, Sequence[Sequence[Mapping[str, Any]]]]) -> 
         panels[-1].legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
 
     return _png(draw, 3.2, panels=len(wanted))
+
+
+def _column(curve: Sequence[Mapping[str, Any]], name: str) -> list[float]:
+    """Of a curve; nan where there is no such number, and strain where no episode succeeded."""
+    return [line.get(name, np.nan) if name == "success" or line["success"] > 0 else np.nan for line in curve]
 
 
 def _png(draw: Callable[..., None], height: float, panels: int = 1, note: str = "") -> bytes:
