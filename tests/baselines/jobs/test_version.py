@@ -71,7 +71,8 @@ def test_a_change_of_what_computes_is_another_version(copy: Path) -> None:
 def test_a_change_of_what_draws_and_talks_is_none(copy: Path) -> None:
     before = digest_of(copy)
     quiet = [name for name in sources(copy) if name.startswith(NO_RESULTS)]
-    assert {name.split("/")[1] for name in quiet} == {"drawing", "pictures", "cli", "benchmark", "learning"}
+    folders = {"drawing", "pictures", "play", "cli", "benchmark", "learning"}
+    assert {name.split("/")[1] for name in quiet} == folders
     assert all(changed(copy, name) == before for name in quiet)
 
 
