@@ -8,6 +8,7 @@ software renderer, of its soft body and bed alone. One thread, processor time.
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 from collections.abc import Callable, Sequence
 from importlib.util import find_spec
@@ -15,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks._report import machine, table
+from benchmarks._report import machine, on_one_thread, table
 from planners.paths import ctc
 from retract_env.drawing.renderer import SectionRenderer
 from retract_env.drawing.space import SpaceRenderer
@@ -92,4 +93,5 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
+    on_one_thread("benchmarks.render_speed", sys.argv[1:])
     raise SystemExit(main())

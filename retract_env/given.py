@@ -63,8 +63,7 @@ def read_settings(
     settings = Settings.from_data({name: value for name, value in given.items() if value is not None})
     if grip is None:
         return settings
-    if grip not in ("compression", "force"):
-        raise ValueError(f"grip = {grip!r}, allowed compression, force")
+    check_choices(("grip", grip, ("compression", "force")))
     return settings.model_copy(update={"task": settings.task.model_copy(update={"grip": grip})})
 
 

@@ -19,6 +19,8 @@ from retract_env.drawing.palette import Bytes, Colour
 Array = NDArray[np.float64]
 Ints = NDArray[np.intp]
 Floats32 = NDArray[np.float32]
+Three = tuple[float, float, float]
+Corners = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
 
 EDGE = 1e-6
 """px by which triangles overlap, so that rounding leaves no gap between neighbours."""
@@ -61,15 +63,40 @@ class Canvas:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _first(low: float) -> int:
+def first_centre(low: float) -> int:
     """First row or column, from 0, whose centre is not before `low`."""
     return math.ceil(min(max(low - 0.5, 0.0), 1e6))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _last(high: float, count: int) -> int:
+def last_centre(high: float, count: int) -> int:
     """Last row or column of `count` whose centre is not beyond `high`; -1 for none."""
     return math.floor(max(min(high - 0.5, count - 1.0), -1.0))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def lay_edges(at: Array, per_row: Array, rises: Three, runs: Three, starts: Corners) -> None:
+    """Where each edge of a triangle crosses y = 0, and how that moves from row to row: into at, per_row (3,).
+
+    rises, runs: how far each edge goes down and to the right; starts: the corners they begin at.
+    """
+    for edge in range(3):
+        if rises[edge] != 0.0:
+            per_row[edge] = runs[edge] / rises[edge]
+            at[edge] = starts[edge][0] - starts[edge][1] * per_row[edge]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def inner_span(
+    low: float, high: float, y: float, area: float, rises: Three, at: Array, per_row: Array
+) -> tuple[float, float]:
+    """From where to where on the line y a triangle reaches, between low and high."""
+    for edge in range(3):
+        if rises[edge] * area < 0.0:  # the inner side is to the right
+            low = max(low, at[edge] + y * per_row[edge])
+        elif rises[edge] != 0.0:
+            high = min(high, at[edge] + y * per_row[edge])
+    return low, high
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -77,7 +104,7 @@ def fill_triangles(image: Bytes, points: Array, faces: Ints, values: Array, colo
     """See Canvas.triangles. A row's pixels lie where all three edges have it on their inner side."""
     height, width = image.shape[0], image.shape[1]
     size = len(colours)
-    at, per_row = np.empty(3), np.empty(3)  # where each edge crosses y = 0, and how that moves down the rows
+    at, per_row = np.empty(3), np.empty(3)
     for f in range(len(faces)):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
         ax, ay = points[a, 0], points[a, 1]
@@ -86,28 +113,19 @@ def fill_triangles(image: Bytes, points: Array, faces: Ints, values: Array, colo
         area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
         if not 1e-12 < abs(area) < 1e18:  # degenerate or not finite
             continue
-        first, last = _first(min(ay, by, cy)), _last(max(ay, by, cy), height)
+        first, last = first_centre(min(ay, by, cy)), last_centre(max(ay, by, cy), height)
         low_x, high_x = min(ax, bx, cx), max(ax, bx, cx)
         if first > last or high_x < 0.0 or low_x > width:
             continue
         rises = (by - ay, cy - by, ay - cy)
-        runs, starts = (bx - ax, cx - bx, ax - cx), ((ax, ay), (bx, by), (cx, cy))
-        for edge in range(3):
-            if rises[edge] != 0.0:
-                per_row[edge] = runs[edge] / rises[edge]
-                at[edge] = starts[edge][0] - starts[edge][1] * per_row[edge]
+        lay_edges(at, per_row, rises, (bx - ax, cx - bx, ax - cx), ((ax, ay), (bx, by), (cx, cy)))
         across = ((values[b] - values[a]) * (cy - ay) - (values[c] - values[a]) * (by - ay)) / area * size
         down = ((values[c] - values[a]) * (bx - ax) - (values[b] - values[a]) * (cx - ax)) / area * size
         for row in range(first, last + 1):
             y = row + 0.5
-            low, high = low_x, high_x
-            for edge in range(3):
-                if rises[edge] * area < 0.0:  # the inner side is to the right
-                    low = max(low, at[edge] + y * per_row[edge])
-                elif rises[edge] != 0.0:
-                    high = min(high, at[edge] + y * per_row[edge])
+            low, high = inner_span(low_x, high_x, y, area, rises, at, per_row)
             begin = values[a] * size + down * (y - ay) + across * (0.5 - ax)
-            for column in range(_first(low - EDGE), _last(high + EDGE, width) + 1):
+            for column in range(first_centre(low - EDGE), last_centre(high + EDGE, width) + 1):
                 value = begin + across * column
                 index = int(min(max(value, 0.0), size - 1.0)) if value == value else 0
                 image[row, column, 0] = colours[index, 0]
@@ -139,13 +157,14 @@ def _stroke(
                 continue
             ux, uy = (dx / length, dy / length) if length > 0 else (1.0, 0.0)
             left, right = min(ax, ax + dx) - reach, max(ax, ax + dx) + reach
-            for row in range(_first(min(ay, ay + dy) - reach), _last(max(ay, ay + dy) + reach, rows) + 1):
+            first, last = first_centre(min(ay, ay + dy) - reach), last_centre(max(ay, ay + dy) + reach, rows)
+            for row in range(first, last + 1):
                 y = row + 0.5 - ay
                 low, high = left, right
                 if abs(uy) > 1e-9:
                     middle, half = ax + y * ux / uy, reach / abs(uy)
                     low, high = max(low, middle - half), min(high, middle + half)
-                for column in range(_first(low), _last(high, columns) + 1):
+                for column in range(first_centre(low), last_centre(high, columns) + 1):
                     x = column + 0.5 - ax
                     if painting:
                         share = coverage[row, column]
@@ -180,8 +199,8 @@ def _convex(image: Bytes, points: Array, red: int, green: int, blue: int) -> Non
     if not 1e-12 < abs(area) < 1e18:
         return
     inwards = 1.0 if area > 0.0 else -1.0
-    for row in range(_first(top - 0.5), _last(bottom + 0.5, image.shape[0]) + 1):
-        for column in range(_first(left - 0.5), _last(right + 0.5, image.shape[1]) + 1):
+    for row in range(first_centre(top - 0.5), last_centre(bottom + 0.5, image.shape[0]) + 1):
+        for column in range(first_centre(left - 0.5), last_centre(right + 0.5, image.shape[1]) + 1):
             inside = 1.0
             for i in range(found):
                 away = sides[i, 0] * (column + 0.5) + sides[i, 1] * (row + 0.5) + sides[i, 2]

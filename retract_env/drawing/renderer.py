@@ -17,7 +17,7 @@ from retract_env.drawing.gauges import Strip
 from retract_env.drawing.lettering import Lettering
 from retract_env.drawing.palette import HIDDEN, INK, STEEL, STRAIN, VEIN_EDGE, WHITE, Bytes, rgb
 from retract_env.drawing.raster import shrunk
-from retract_env.drawing.scenery import Scenery, draw_words, view_of
+from retract_env.drawing.scenery import Scenery, View, draw_words, view_of
 from retract_env.drawing.shapes import JawShapes, SectionTopology, hidden_region
 from retract_env.drawing.window import Window
 from retract_env.objectives import seen_spans
@@ -49,6 +49,24 @@ def check_size(size: tuple[int, int]) -> None:
         raise ValueError(f"size = {tuple(size)} px, allowed {LEAST} and more either way")
 
 
+def unit_of(size: tuple[int, int]) -> float:
+    """px in the width of a thin line, on a frame of that width and height."""
+    return min(size[0] / DRAWN_WIDTH, size[1] / (0.75 * DRAWN_WIDTH))
+
+
+def laid_out(scene: Scene, size: tuple[int, int]) -> tuple[View, int, int]:
+    """Where metres fall on a frame of that width and height, where its strip begins, and how many rows show
+    the bed, px."""
+    unit = unit_of(size)
+    strip_top, ground = size[1] - round(STRIP * unit), round(GROUND_ROWS * unit)
+    return view_of(scene, size[0], strip_top - ground), strip_top, ground
+
+
+def up_to(state: TissueState, history: Sequence[TissueState]) -> Sequence[TissueState]:
+    """The states so far with `state` at their end, whether they have it already or not."""
+    return history if len(history) > 0 and history[-1] is state else [*history, state]
+
+
 class SectionRenderer:
     """Draws states of one section of one scene."""
 
@@ -70,8 +88,7 @@ class SectionRenderer:
             self._frame = self._new_frame()
         scenery, strip, letters = self._frame
         self._paint(scenery, state, self._jaws)
-        ends_with_state = len(history) > 0 and history[-1] is state
-        strip.draw(scenery.canvas, letters, history if ends_with_state else [*history, state])
+        strip.draw(scenery.canvas, letters, up_to(state, history))
         return scenery.canvas.image.copy()
 
     def pixels(self, state: TissueState, size: tuple[int, int] = (96, 96)) -> Bytes:
@@ -93,12 +110,9 @@ class SectionRenderer:
         self._small.clear()
 
     def _new_frame(self) -> tuple[Scenery, Strip, Lettering]:
-        width, height = self.size
-        unit = min(width / DRAWN_WIDTH, height / (0.75 * DRAWN_WIDTH))
-        strip_top, ground = height - round(STRIP * unit), round(GROUND_ROWS * unit)
-        scenery = Scenery(
-            self.scene, view_of(self.scene, width, strip_top - ground), (width, height), ground, unit
-        )
+        (width, height), unit = self.size, unit_of(self.size)
+        view, strip_top, ground = laid_out(self.scene, self.size)
+        scenery = Scenery(self.scene, view, self.size, ground, unit)
         letters = Lettering(scenery.canvas.surface, LETTERS * unit)
         strip = Strip(self.scene, (0, strip_top, width, height), unit)
         draw_words(scenery, letters)

@@ -54,9 +54,14 @@ class View:
         return placed
 
 
+def drawn_length(scene: Scene) -> float:
+    """m, the flap's length as far as pictures leave room for it: thick flaps need some as well."""
+    return max(scene.tissue.length, 3 * scene.tissue.height)
+
+
 def view_of(scene: Scene, width: int, bed: int, right: float = RIGHT) -> View:
     """The largest view that shows LEFT, `right` and ABOVE on `width` px and `bed` rows above the bed."""
-    length = max(scene.tissue.length, 3 * scene.tissue.height)  # thick flaps need room as well
+    length = drawn_length(scene)
     scale = min(width / (LEFT + right), bed / ABOVE) / length
     spare = width / scale - (LEFT + right) * length
     return View(left=-LEFT * length - spare / 2, bed=bed, scale=scale)

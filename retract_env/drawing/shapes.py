@@ -22,7 +22,7 @@ Ints = NDArray[np.intp]
 
 FINGER, PAD = 0.14, 0.016  # of the flap's length
 
-_SMALL = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])  # a quadratic triangle as four plain ones
+SMALL = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])  # a quadratic triangle as four plain ones
 
 
 class SectionTopology:
@@ -43,7 +43,7 @@ class SectionTopology:
         self._vertex: Ints = owner.reshape(triangles.shape)
         self._shares: Ints = np.bincount(self._vertex.ravel())
         self.nodes: Ints = vertices % count
-        self.faces: Ints = np.ascontiguousarray(self._vertex[:, _SMALL].reshape(-1, 3))
+        self.faces: Ints = np.ascontiguousarray(self._vertex[:, SMALL].reshape(-1, 3))
         self.straight: Ints = self._vertex[:, :3]
         rings = []
         for one in veins:

@@ -34,8 +34,8 @@ from retract_env.drawing.palette import (
 )
 from retract_env.drawing.perspective import Pinhole, axes_ahead, from_afar, from_point
 from retract_env.drawing.raster import Canvas
-from retract_env.drawing.renderer import DRAWN_WIDTH, LETTERS, STRIP, check_size
-from retract_env.drawing.scenery import ABOVE, draw_camera, draw_scale, name_camera
+from retract_env.drawing.renderer import LETTERS, STRIP, check_size, unit_of, up_to
+from retract_env.drawing.scenery import ABOVE, draw_camera, draw_scale, drawn_length, name_camera
 from retract_env.drawing.shapes import JawShapes, SectionTopology
 from retract_env.drawing.solids import GLOSS, LIGHT, FlapSolid, Solid, bar, lit
 from retract_env.drawing.zbuffer import (
@@ -86,8 +86,13 @@ class Place:
         self.depth = np.empty((height, width), dtype=np.float32)
         self.kind: Bytes = np.empty((height, width), dtype=np.uint8)
         tissue = scene.tissue
-        self.length = max(tissue.length, 3 * tissue.height)
+        self.length = drawn_length(scene)
         self.half = tissue.depth / 2
+        self.across = self.half + 0.1 * self.length
+        """m, beside the middle, how far the line through B on the bed goes"""
+        self.block_half = self.half + 0.06 * self.length
+        self.sight = sight_line(scene, eye, self.image.shape)
+        """(2, 3) m, what is drawn of the line of sight"""
         self._draw_bed()
         block = [
             (0.0, 0.0),
@@ -95,9 +100,11 @@ class Place:
             (BLOCK * self.length, tissue.height),
             (0.0, tissue.height),
         ]
-        solid, edges = bar(np.array(block), self.half + 0.06 * self.length)
+        solid, edges = bar(np.array(block), self.block_half)
         self.fill(solid, _plain(WALL))
         self.line(edges, GREY, 0.8)
+        target, _ = scene.line_of_sight.target
+        self.on_bed(-tissue.length, target, UNSEEN_BED if marked else SEEN_BED, 1)
         self._still = self.image.copy(), self.depth.copy(), self.kind.copy()
 
     def begin(self) -> None:
@@ -234,13 +241,12 @@ class SpaceRenderer:
         points = np.asarray(state.points, dtype=np.float64)
         length, (target, _) = scene.tissue.length, scene.line_of_sight.target
         place.begin()
-        place.on_bed(-length, target, UNSEEN_BED if place.marked else SEEN_BED, 1)
-        across = place.half + 0.1 * place.length
         if place.marked:
             outline = points[flap.topology.outline]
             for begin, end in seen_spans(outline, scene.line_of_sight.camera, -length, target).tolist():
                 place.on_bed(begin, end, SEEN_BED, 2)
-            place.line(np.array([(target, 0.0, -across), (target, 0.0, across)]), SIGHT, 1.4, nearer=5e-4)
+            ends = np.array([(target, 0.0, -place.across), (target, 0.0, place.across)])
+            place.line(ends, SIGHT, 1.4, nearer=5e-4)
         skin = flap.skin(points)
         cuts = [(side, flap.cut(points, side)) for side in (1, -1)]
         straight = flap.topology.straight
@@ -258,7 +264,7 @@ class SpaceRenderer:
             place.line(flap.lines(points, side), INK, 1.3)
         self._paint_jaws(place, state.jaws)
         if place.marked:
-            place.line(sight_line(scene, place.eye, place.image.shape), SIGHT, 1.8, nearer=1e-4, faint=0.3)
+            place.line(place.sight, SIGHT, 1.8, nearer=1e-4, faint=0.3)
 
     def _paint_jaws(self, place: Place, jaws: Array) -> None:
         wide = (self.scene.jaws.depth or self.scene.tissue.depth * 1.06) / 2
@@ -277,7 +283,7 @@ class _Frame:
 
     def __init__(self, scene: Scene, size: tuple[int, int]):
         width, height = size
-        unit = min(width / DRAWN_WIDTH, height / (0.75 * DRAWN_WIDTH))
+        unit = unit_of(size)
         self.top = height - round(STRIP * unit)
         eye = eye_beside(scene, (2 * width, 2 * self.top), 2 * unit)
         self.place = Place(scene, eye, (2 * width, 2 * self.top), 2 * unit, marked=True)
@@ -298,23 +304,19 @@ class _Frame:
         halved(self.place.image, image[:top])
         image.reshape(-1, 3)[self._written] = self._letters_there
         image[top:] = self._words[top:]
-        ends_with_state = len(history) > 0 and history[-1] is state
-        self._strip.draw(self.canvas, self._letters, history if ends_with_state else [*history, state])
+        self._strip.draw(self.canvas, self._letters, up_to(state, history))
         return image.copy()
 
     def _draw_words(self, scene: Scene, eye: Pinhole, unit: float) -> None:
         canvas, letters, place = self.canvas, self._letters, self.place
-        line = eye(sight_line(scene, eye, place.image.shape))[:, :2] / 2
+        line = eye(place.sight)[:, :2] / 2
         away = (line[1] - line[0]) / np.hypot(*(line[1] - line[0]))
-        reached = (
-            math.dist(sight_line(scene, eye, place.image.shape)[1][:2], scene.line_of_sight.camera) < 1e-9
-        )
+        reached = math.dist(place.sight[1][:2], scene.line_of_sight.camera) < 1e-9
         draw_camera(canvas, line[1], away, reached, unit)
         name_camera(letters, line[1], away, unit)
-        near = place.half + 0.1 * place.length
-        x, y, _ = eye((scene.line_of_sight.target[0], 0.0, near))
+        x, y, _ = eye((scene.line_of_sight.target[0], 0.0, place.across))
         letters.write("B", x / 2, y / 2 + 9 * unit, SIGHT, 0.5)
-        x, y, _ = eye((BLOCK / 2 * place.length, 0.0, place.half + 0.06 * place.length))
+        x, y, _ = eye((BLOCK / 2 * place.length, 0.0, place.block_half))
         letters.write("fixed end", x / 2, y / 2 + 10 * unit, GREY, 0.5)
         at, below = 14 * unit, self.top - 12 * unit
         for word, colour in (("area of interest:", GREY), ("in view", SIGHT), ("hidden", LIMIT)):
@@ -325,7 +327,7 @@ class _Frame:
 def eye_beside(scene: Scene, size: tuple[int, int], unit: float) -> Pinhole:
     """The eye of a frame: beside the free end, a little above, so that it sees all that a flap can reach."""
     tissue = scene.tissue
-    length, half = max(tissue.length, 3 * tissue.height), tissue.depth / 2
+    length, half = drawn_length(scene), tissue.depth / 2
     turn = np.linspace(0.0, math.asin(ABOVE), 8)
     reach = [(-length * math.cos(a), length * math.sin(a)) for a in turn]
     around = BED_AROUND * length

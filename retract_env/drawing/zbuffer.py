@@ -13,7 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from retract_env.drawing.palette import Bytes
-from retract_env.drawing.raster import EDGE, _first, _last
+from retract_env.drawing.raster import EDGE, first_centre, inner_span, last_centre, lay_edges
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -56,16 +56,12 @@ def fill_faces(
         area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
         if not 1e-12 < abs(area) < 1e18:  # degenerate or not finite
             continue
-        first, last = _first(min(ay, by, cy)), _last(max(ay, by, cy), height)
+        first, last = first_centre(min(ay, by, cy)), last_centre(max(ay, by, cy), height)
         low_x, high_x = min(ax, bx, cx), max(ax, bx, cx)
         if first > last or high_x < 0.0 or low_x > width:
             continue
         rises = (by - ay, cy - by, ay - cy)
-        runs, starts = (bx - ax, cx - bx, ax - cx), ((ax, ay), (bx, by), (cx, cy))
-        for edge in range(3):
-            if rises[edge] != 0.0:
-                per_row[edge] = runs[edge] / rises[edge]
-                at[edge] = starts[edge][0] - starts[edge][1] * per_row[edge]
+        lay_edges(at, per_row, rises, (bx - ax, cx - bx, ax - cx), ((ax, ay), (bx, by), (cx, cy)))
         u1, u2, v1, v2 = (cy - ay) / area, (by - ay) / area, (bx - ax) / area, (cx - ax) / area
         va, la = values[a] * size, light[a]
         dv1, dv2 = values[b] * size - va, values[c] * size - va
@@ -75,14 +71,9 @@ def fill_faces(
         w_across, w_down = dw1 * u1 - dw2 * u2, dw2 * v1 - dw1 * v2
         for row in range(first, last + 1):
             y = row + 0.5
-            low, high = low_x, high_x
-            for edge in range(3):
-                if rises[edge] * area < 0.0:  # the inner side is to the right
-                    low = max(low, at[edge] + y * per_row[edge])
-                elif rises[edge] != 0.0:
-                    high = min(high, at[edge] + y * per_row[edge])
+            low, high = inner_span(low_x, high_x, y, area, rises, at, per_row)
             y -= ay
-            for column in range(_first(low - EDGE), _last(high + EDGE, width) + 1):
+            for column in range(first_centre(low - EDGE), last_centre(high + EDGE, width) + 1):
                 x = column + 0.5 - ax
                 w = aw + w_across * x + w_down * y
                 before = depth[row, column]
@@ -135,13 +126,14 @@ def draw_lines(
         ux, uy = (dx / length, dy / length) if length > 0 else (1.0, 0.0)
         slope = dw / length if length > 0 else 0.0
         left, right = min(ax, ax + dx) - reach, max(ax, ax + dx) + reach
-        for row in range(_first(min(ay, ay + dy) - reach), _last(max(ay, ay + dy) + reach, rows) + 1):
+        first, last = first_centre(min(ay, ay + dy) - reach), last_centre(max(ay, ay + dy) + reach, rows)
+        for row in range(first, last + 1):
             y = row + 0.5 - ay
             low, high = left, right
             if abs(uy) > 1e-9:
                 middle, half = ax + y * ux / uy, reach / abs(uy)
                 low, high = max(low, middle - half), min(high, middle + half)
-            for column in range(_first(low), _last(high, columns) + 1):
+            for column in range(first_centre(low), last_centre(high, columns) + 1):
                 x = column + 0.5 - ax
                 along = min(max(x * ux + y * uy, 0.0), length)
                 if (x - along * ux) ** 2 + (y - along * uy) ** 2 > reach * reach:
@@ -173,20 +165,11 @@ def cast_shadow(image: Bytes, kind: Bytes, points: Array, faces: Ints, share: fl
         if not 1e-12 < abs(area) < 1e18:
             continue
         rises = (by - ay, cy - by, ay - cy)
-        runs, starts = (bx - ax, cx - bx, ax - cx), ((ax, ay), (bx, by), (cx, cy))
-        for edge in range(3):
-            if rises[edge] != 0.0:
-                per_row[edge] = runs[edge] / rises[edge]
-                at[edge] = starts[edge][0] - starts[edge][1] * per_row[edge]
-        for row in range(_first(min(ay, by, cy)), _last(max(ay, by, cy), height) + 1):
+        lay_edges(at, per_row, rises, (bx - ax, cx - bx, ax - cx), ((ax, ay), (bx, by), (cx, cy)))
+        for row in range(first_centre(min(ay, by, cy)), last_centre(max(ay, by, cy), height) + 1):
             y = row + 0.5
-            low, high = min(ax, bx, cx), max(ax, bx, cx)
-            for edge in range(3):
-                if rises[edge] * area < 0.0:
-                    low = max(low, at[edge] + y * per_row[edge])
-                elif rises[edge] != 0.0:
-                    high = min(high, at[edge] + y * per_row[edge])
-            for column in range(_first(low - EDGE), _last(high + EDGE, width) + 1):
+            low, high = inner_span(min(ax, bx, cx), max(ax, bx, cx), y, area, rises, at, per_row)
+            for column in range(first_centre(low - EDGE), last_centre(high + EDGE, width) + 1):
                 if kind[row, column] == FLOOR:
                     kind[row, column] = SHADED
                     for k in range(3):
@@ -195,7 +178,7 @@ def cast_shadow(image: Bytes, kind: Bytes, points: Array, faces: Ints, share: fl
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def halved(image: Bytes, out: Bytes) -> None:
-    """Means over 2 x 2 pixels: (2 h, 2 w, 3) into out (h, w, 3)."""
+    """Means over 2 x 2 pixels: (2 h, 2 w, 3) into out (h, w, 3). As `raster.shrunk`, three times as fast."""
     for row in range(out.shape[0]):
         upper, lower = image[2 * row].reshape(-1), image[2 * row + 1].reshape(-1)
         line = out[row]
