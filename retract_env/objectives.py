@@ -40,6 +40,9 @@ def worst_mean(strains: ArrayLike, volumes: ArrayLike, fraction: float = WORST_F
     still needed.
     """
     strains, volumes = np.ravel(strains), np.ravel(volumes)
+    most = float(strains.max())
+    if not most < np.inf:  # nor is a share of nothing of it a number
+        return most
     wanted = fraction * volumes.sum()
     count = min(len(strains), int(3 * fraction * len(strains)) + 1)
     while True:  # as many of the worst as have that volume; to sort them all would take far longer

@@ -57,6 +57,14 @@ def test_worst_mean_is_that_of_many_equal_pieces(pairs: list[tuple[float, float]
     assert worst_mean(strains, volumes, fraction) == pytest.approx(sampled, abs=2 * len(strains) / pieces)
 
 
+@pytest.mark.parametrize("bad", [np.inf, np.nan])
+def test_worst_mean_of_what_is_no_strain_is_none(bad: float) -> None:
+    """Also where more of it than the fraction is: there is no share of nothing to be had."""
+    strains = np.r_[np.full(100, bad), np.full(900, 0.1)]
+    assert not np.isfinite(worst_mean(strains, np.ones(1000)))
+    assert str(worst_mean(strains, np.ones(1000))) == str(bad)
+
+
 @given(values, fractions, st.integers(2, 5))
 def test_worst_mean_does_not_change_when_elements_are_split(
     pairs: list[tuple[float, float]], fraction: float, parts: int
