@@ -17,8 +17,9 @@ async function begin() {
   const state = { time: 0, playing: false, colour: "flap", through: false, top: 1, dirty: true };
   const motions = new Map(); // flaps by plan and what was tried, made when first seen
 
-  const flapOf = (plan, tried) => {
-    const key = `${plan}/${tried ?? ""}`;
+  // each view has its own, as a thing stands in one picture alone
+  const flapOf = (view, plan, tried) => {
+    const key = `${views.indexOf(view)}/${plan}/${tried ?? ""}`;
     const { motion } = tried ? plans[plan].tried[tried] : plans[plan];
     if (!motions.has(key)) motions.set(key, Flap.of(motion, palette, strains));
     return motions.get(key);
@@ -45,10 +46,10 @@ async function begin() {
 
   async function put(view, plan, tried = null) {
     Object.assign(view, { plan, tried });
-    const flap = await flapOf(plan, tried);
+    const flap = await flapOf(view, plan, tried);
     if (view.plan !== plan || view.tried !== tried) return; // another one was asked for meanwhile
     const { name, colour, good, verdict } = plans[plan];
-    const { scene, title } = tried ? plans[plan].tried[tried] : plans[plan];
+    const { title, scene = plans[plan].scene } = tried ? plans[plan].tried[tried] : plans[plan];
     Object.assign(view, { flap, scene });
     view.holder.style.setProperty("--plan", colour);
     const select = view.holder.querySelector("select");
