@@ -13,6 +13,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from baselines.cli.words import SHORT
 from planners.base import DISMISSED
 
 if TYPE_CHECKING:
@@ -23,8 +24,6 @@ MM = MN = 1e3
 PLAIN_WIDTH = 100
 """columns of the table where no terminal sets them"""
 
-_WORDS = {"ok": "certified", "not_visible": "not visible"}
-"""Other reasons are said as they are; `DISMISSED` candidates show the rod's numbers, marked ~."""
 _COLUMNS = (
     "#",
     "grasp\nmm",
@@ -42,7 +41,7 @@ def outcome(candidate: Candidate) -> str:
     """What is being done with a candidate, or why it was dropped, in words."""
     if candidate.status != "done" or candidate.reason is None:
         return candidate.status
-    return _WORDS.get(candidate.reason, candidate.reason)
+    return SHORT.get(candidate.reason, candidate.reason)
 
 
 class CandidateTable:

@@ -96,20 +96,27 @@ def hurts(certificate: Certificate) -> Iterator[str]:
         yield line
 
 
+def worst_flaps(
+    scene: Scene, grasp: Grasp, path: JawPath, certificate: Certificate
+) -> Iterator[tuple[dict[str, Any], Any, tuple[Scene, Grasp, JawPath] | None]]:
+    """Of each of the worst draws, if there is a statement: the case, the draw, and scene, grasp and path
+    there, None where the jaws do not close on the flap at all."""
+    from planners.certify.robust import drawn
+    from retract_env.scenarios import scenario
+
+    for case in [] if certificate.robust is None else certificate.robust["worst"]:
+        z = drawn(case)
+        yield case, z, scenario(scene, grasp, path, z)
+
+
 def worst_cases(scene: Scene, grasp: Grasp, path: JawPath, certificate: Certificate) -> dict[str, Any]:
     """Files with the worst of what was drawn, as plans: worst-1.json and so on, the worst first.
 
     None where nothing is stated, nor of a case in which the jaws do not close on the flap at all: no plan
     says that.
     """
-    if certificate.robust is None:
-        return {}
-    from planners.certify.robust import drawn
-    from retract_env.scenarios import scenario
-
     files: dict[str, Any] = {}
-    for case in certificate.robust["worst"]:
-        there = scenario(scene, grasp, path, drawn(case))
+    for _, _, there in worst_flaps(scene, grasp, path, certificate):
         if there is not None:
             flap, held, moved = there
             files[f"worst-{len(files) + 1}.json"] = {

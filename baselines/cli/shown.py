@@ -6,9 +6,9 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from baselines.cli.robust import told
+from baselines.cli.robust import told, worst_flaps
 from baselines.cli.verdict import MM, MN, margins
-from baselines.cli.words import FAILS, UNKNOWN
+from baselines.cli.words import FAILS, SHORT, UNKNOWN
 
 if TYPE_CHECKING:
     from baselines.pictures.page import Shown, Table, Tried
@@ -20,7 +20,6 @@ MOST_MOTIONS = 24
 """Of one table that are followed by the rod; each is some 40 kB of the page."""
 NAMED = 4
 """Of what differs in a worst case that are named, the farthest from what the scene says first."""
-SHORT = {"not_visible": "not visible", "ok": "certified"}
 COLUMNS = ("#", "came to", "grasp, mm", "closed by", "path", "strain", "friction", "clearance, mm")
 
 
@@ -200,15 +199,12 @@ def _worst(
 ) -> Table:
     """The flaps, of those that were drawn, on which the plan fails or is nearest to it."""
     from baselines.pictures.page import Table, Tried, followed_by_rod
-    from planners.certify.robust import drawn
-    from retract_env.scenarios import scenario
 
     rows = []
-    for k, case in enumerate([] if certificate.robust is None else certificate.robust["worst"]):
-        there = scenario(scene, grasp, path, drawn(case))
+    for k, (case, z, there) in enumerate(worst_flaps(scene, grasp, path, certificate)):
         reason = case["reason"]
         came = "holds, nearest to failing" if reason == "ok" else FAILS.get(reason, reason)
-        differs = _differs(scene, grasp, drawn(case))
+        differs = _differs(scene, grasp, z)
         motion = followed_by_rod(*there) if rod and there is not None else None
         told = [f"{came[0].upper()}{came[1:]}. What differs from the scene: {', '.join(differs)}."]
         rows.append(

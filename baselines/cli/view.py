@@ -79,7 +79,14 @@ def view_command(
             with clock.phase("motions"):
                 plans.append(
                     _followed(
-                        file, name, scene, grasp, path, certificate, data.get("candidates", []), alternatives
+                        str(file),
+                        name,
+                        scene,
+                        grasp,
+                        path,
+                        certificate,
+                        data.get("candidates", []),
+                        alternatives,
                     )
                 )
             ranks.append(_rank(certificate))
@@ -132,7 +139,7 @@ def page_of(plans: Sequence[Plan]) -> str:
         candidates = plan.to_json()["candidates"]
         shown.append(
             _followed(
-                None,
+                name,
                 name,
                 plan.scene,
                 plan.grasp,
@@ -198,7 +205,7 @@ def _certificate(file: Path, name: str, scene: Scene, grasp: Grasp, path: JawPat
 
 
 def _followed(
-    file: Path | None,
+    told: str,
     name: str,
     scene: Scene,
     grasp: Grasp,
@@ -207,13 +214,12 @@ def _followed(
     candidates: Sequence[Any],
     alternatives: bool,
 ) -> Shown:
-    """A plan for the page, showing how far it is. Raises BadInput, NotCertified."""
+    """A plan for the page, with progress; told: its name in messages. Raises BadInput, NotCertified."""
     from baselines.cli.progress import Under
     from baselines.cli.shown import shown
     from baselines.pictures.page import NotFollowed
     from retract_env.errors import MeshError
 
-    told = name if file is None else str(file)
     with Under(f"{name}: motion") as under:
         try:
             return shown(name, scene, grasp, path, certificate, candidates, alternatives, under.step)

@@ -10,6 +10,8 @@ FAILS = {
     "undecided": "not decided, which counts as failing",
 }
 """Why a retraction is not certified, by the certificate's name for it."""
+SHORT = {"ok": "certified", "not_visible": "not visible"}
+"""What became of a candidate, in a table; other reasons are said as they are."""
 UNKNOWN = {
     "modulus": "stiffness of the flap",
     "vein_modulus": "stiffness of the veins",

@@ -33,12 +33,8 @@ def skins(trial: Trial) -> tuple[Faces, Faces]:
     physics = trial.physics
     assert physics is not None
     prism, section = physics.model.prism, physics.section
-    u = physics.displacements.reshape(-1, prism.stride)
     ends = np.concatenate([[0], 2 * np.arange(len(prism.blocks)) + 1])  # the levels where layers end
-    points = np.empty((len(section.points), len(ends), 3))
-    for k, level in enumerate(ends):
-        points[:, k, :2] = section.points + u[:, 2 * level : 2 * level + 2]
-        points[:, k, 2] = prism.z[level] + (u[:, 2 * prism.levels + level - 1] if level else 0.0)
+    points = physics.model.solid(physics.displacements)[ends].swapaxes(0, 1)
     stretches = physics.model.assembly.stretches(physics.displacements)
     weights = [block.measured for block in prism.blocks]
     strains = np.stack(

@@ -174,6 +174,16 @@ class FlapModel:
         """(n, 2) m, section nodes of one depth level."""
         return self.section.points + self.prism.in_plane(u, level)
 
+    def solid(self, u: Array) -> Array:
+        """(l, n, 3) m, section nodes of every depth level, the plane of symmetry first."""
+        nodes, count = np.arange(len(self.section.points)), self.prism.levels
+        points = np.zeros((count, len(nodes), 3))
+        for level in range(count):
+            points[level, :, :2] = self.positions(u, level)
+        points[1:, :, 2] = u[self.prism.w(nodes, np.arange(1, count))].T
+        points[:, :, 2] += self.prism.z[:, None]
+        return points
+
 
 @njit(cache=True, nogil=True)
 def _outer_force(u, load, bed, stiffness, force):

@@ -90,8 +90,7 @@ def cut_edges(faces: Faces) -> Array:
     return np.array([edge for edge, count in found.items() if count == 1], float).reshape(-1, 2, 3) * 1e-3
 
 
-def _draw_cut(axes: Axes, faces: Faces, camera: Camera, colour: str, width: float) -> None:
-    lines = camera.flat(cut_edges(faces))
+def _draw_cut(axes: Axes, lines: Array, colour: str, width: float) -> None:
     axes.add_collection(
         LineCollection(list(lines), colors=colour, linewidths=width, zorder=3.2, capstyle="round")
     )
@@ -186,10 +185,10 @@ def _report(rows: Sequence[Row]) -> Report:
     _draw_jaws(panels[0], row, scene, camera)
     draw_faces(panels[1], row["skin"], camera, limit, colour=PALE)
     draw_faces(panels[1], row["veins"], camera, limit)
+    veins, skin = (camera.flat(cut_edges(row[name])) for name in ("veins", "skin"))
     for axes in panels:
-        _draw_cut(axes, row["veins"], camera, VEIN_EDGE, 0.8)
-        _draw_cut(axes, row["skin"], camera, INK, 0.9)
-    for axes in panels:
+        _draw_cut(axes, veins, VEIN_EDGE, 0.8)
+        _draw_cut(axes, skin, INK, 0.9)
         axes.autoscale_view()
     bar = ScalarMappable(Normalize(0.0, limit), strain_map())
     figure.colorbar(bar, ax=list(panels), shrink=0.5, label="strain, up to its limit")

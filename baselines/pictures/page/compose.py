@@ -146,8 +146,8 @@ def _plan_data(k: int, plan: Shown) -> dict[str, object]:
         "tried": {
             key: {
                 "title": row.title,
-                "scene": scene_data(row.scene or plan.scene),
                 "motion": motion_data(row.motion),
+                **({} if row.scene is None else {"scene": scene_data(row.scene)}),
             }
             for key, row in tried.items()
             if row.motion is not None
@@ -167,10 +167,9 @@ def _view(k: int, plans: Sequence[Shown]) -> str:
             for i, plan in enumerate(plans)
         )
         name = f'<select aria-label="Plan shown here">{options}</select>'
-    badge = f'<span class="badge{"" if plans[k].good else " bad"}">{escape(plans[k].verdict)}</span>'
     return (
         f'<section class="view" data-plan="{k}" style="--plan: {METHODS[k]}" aria-label="Picture">'
-        f'<div class="head">{name}{badge}</div>'
+        f'<div class="head">{name}{_badge(plans[k])}</div>'
         '<div class="frame"><canvas tabindex="0" role="img" aria-label="The flap"></canvas>'
         '<p class="nothing">This browser draws nothing in three dimensions (WebGL 2); curves and numbers are '
         "below.</p>"
@@ -179,9 +178,12 @@ def _view(k: int, plans: Sequence[Shown]) -> str:
     )
 
 
+def _badge(plan: Shown) -> str:
+    return f'<span class="badge{"" if plan.good else " bad"}">{escape(plan.verdict)}</span>'
+
+
 def _card(k: int, plan: Shown) -> str:
-    badge = f'<span class="badge{"" if plan.good else " bad"}">{escape(plan.verdict)}</span>'
-    parts = [f'<div class="key"><h2>{escape(plan.name)}</h2>{badge}</div>', _list(plan.told)]
+    parts = [f'<div class="key"><h2>{escape(plan.name)}</h2>{_badge(plan)}</div>', _list(plan.told)]
     if plan.robust:
         parts += ["<h3>Flaps that are not quite as the scene says</h3>", _list(plan.robust)]
     parts += [_table(k, t, table) for t, table in enumerate(plan.tables) if table.rows]

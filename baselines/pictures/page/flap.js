@@ -301,6 +301,8 @@ class Flap {
 
   /** Let veins be seen through the tissue, or not. */
   seeThrough(through) {
+    if (this.through === through) return;
+    this.through = through;
     Object.assign(this.tissueLook, { transparent: through, opacity: through ? 0.3 : 1, depthWrite: !through });
     this.tissueLook.needsUpdate = true;
   }
@@ -309,11 +311,5 @@ class Flap {
   jawsAt(time) {
     const { before, after, part } = between(this.data.time, time);
     return this.data.jaws[before].map((x, k) => x + (this.data.jaws[after][k] - x) * part);
-  }
-
-  dispose() {
-    this.group.traverse((thing) => thing.geometry?.dispose());
-    this.tissueLook.dispose();
-    this.veinLook.dispose();
   }
 }

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from baselines.pictures.page.surface import Surface, surface_of
 from baselines.pictures.steps import drawn_out, shown_frames
+from retract_env.drawing.gauges import needed_friction
 from retract_env.errors import Diverged
 from retract_env.grasp import Grasp, JawPath
 from retract_env.objectives import verdict
@@ -95,7 +96,6 @@ def followed(
     physics = FemPhysics(scene, grasp.x, certificate.mesh["resolution"], force=grasp.force)
     model, keep = physics.model, set(shown_frames(drawn_out(progress)))
     surface, shapes, strains = surface_of(physics.section), [], []
-    nodes, every = np.arange(len(physics.section.points)), np.arange(model.prism.levels)
     limit = certificate.strain_limit
     for k, at in enumerate(progress):
         try:
@@ -112,12 +112,7 @@ def followed(
             )
         on_step()
         if k in keep:
-            u = physics.displacements
-            depth = np.zeros((len(every), len(nodes)))
-            depth[1:] = u[model.prism.w(nodes, every[1:])].T
-            flat = np.stack([model.positions(u, level) for level in range(model.prism.levels)])
-            solid = np.concatenate([flat, (depth + model.prism.z[:, None])[..., None]], axis=-1)
-            shapes.append(np.stack([surface.moved(level) for level in solid]))
+            shapes.append(np.stack([surface.moved(level) for level in model.solid(physics.displacements)]))
             strains.append(surface.strains(state.strain))
     friction = np.array([max(map(float, pair)) for pair in history["friction"]])
     friction[np.array(progress) < 1] = math.nan
@@ -152,7 +147,7 @@ def followed_by_rod(scene: Scene, grasp: Grasp, path: JawPath) -> Motion | None:
             break
         state = states[-1]
         found = verdict(
-            state.worst_strain, _friction(state) if at >= 1 else 0.0, state.clearance, limits.strain,
+            state.worst_strain, needed_friction(state) if at >= 1 else 0.0, state.clearance, limits.strain,
             limits.friction, limits.clearance, state.overlap,
         )  # fmt: skip
         if found is not None and at >= 1:
@@ -176,14 +171,10 @@ def followed_by_rod(scene: Scene, grasp: Grasp, path: JawPath) -> Motion | None:
         progress=progress,
         jaws=np.array([state.jaws for state in states]),
         worst=np.array([state.worst_strain for state in states]),
-        friction=np.array([_friction(s) if s.progress >= 1 else math.nan for s in states]),
+        friction=np.array([needed_friction(s) for s in states]),
         clearance=np.array([state.clearance for state in states]),
         reason=reason,
     )
-
-
-def _friction(state: TissueState) -> float:
-    return float(np.max(np.asarray(state.required_friction)))
 
 
 def depth_rows(z: ArrayLike) -> tuple[Array, Array]:

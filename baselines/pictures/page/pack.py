@@ -77,7 +77,6 @@ def motion_data(motion: Motion) -> dict[str, Any]:
         "strainTop": top,
         "frameTime": numbers(motion.time[list(motion.shown)]),
         "time": numbers(motion.time),
-        "progress": numbers(motion.progress, 3),
         "jaws": numbers(motion.jaws * MM, 4),
         "curves": {
             "strain": numbers(motion.worst),

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from retract_env.drawing.shapes import embedded, vein_ring
+from retract_env.drawing.shapes import SMALL, embedded, vein_ring
 
 if TYPE_CHECKING:
     from retract_env.mesh import SectionMesh
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
-_SMALL = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])  # a quadratic triangle as four plain ones
 _EDGES = np.array([[0, 3, 1], [1, 4, 2], [2, 5, 0]])
 
 
@@ -80,7 +79,7 @@ def surface_of(section: SectionMesh) -> Surface:
     outer = np.isin(triangles[:, _EDGES][..., 1], np.asarray(section.boundary)[:, 1])
     return Surface(
         nodes=np.concatenate([places, extra]),
-        faces=corners[:, _SMALL].reshape(-1, 3),
+        faces=corners[:, SMALL].reshape(-1, 3),
         in_vein=np.repeat(vein >= 0, 4),
         skin=_pairs(corners[:, _EDGES][outer & (vein < 0)[:, None]]),
         walls=np.concatenate(walls),
