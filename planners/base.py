@@ -144,18 +144,31 @@ class Plan:
 
     def to_json(self) -> dict[str, Any]:
         """Plain data that `plan_from_json` reads back; no wall-clock is in it."""
-        return {
-            "scene": self.scene.dump(),
-            "planner": self.planner,
-            "grasp": {"x": self.grasp.x, **self.grasp.firmness},
-            "path": self.path.to_json(),
-            "resolution": self.certificate.mesh["resolution"],
-            "candidates": [c.to_json() for c in self.candidates],
-        }
+        resolution = self.certificate.mesh["resolution"]
+        return plan_to_json(self.scene, self.planner, self.grasp, self.path, resolution, self.candidates)
+
+
+def plan_to_json(
+    scene: Scene,
+    planner: str,
+    grasp: Grasp,
+    path: JawPath,
+    resolution: str,
+    candidates: Sequence[Candidate] = (),
+) -> dict[str, Any]:
+    """The content of a plan's file; planner: who made it; candidates: what was tried."""
+    return {
+        "scene": scene.dump(),
+        "planner": planner,
+        "grasp": {"x": grasp.x, **grasp.firmness},
+        "path": path.to_json(),
+        "resolution": resolution,
+        "candidates": [c.to_json() for c in candidates],
+    }
 
 
 def plan_from_json(data: Mapping[str, Any]) -> tuple[Scene, Grasp, JawPath]:
-    """Scene, grasp and path of a plan's file, which may tell no more than `Plan.to_json` does.
+    """Scene, grasp and path of a plan's file, which may tell no more than `plan_to_json` does.
 
     Raises ValueError, one line, for anything else.
     """

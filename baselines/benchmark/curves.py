@@ -6,8 +6,6 @@ seed, and training.png into the folder OUT.
 
 from __future__ import annotations
 
-import csv
-import io
 import sys
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
@@ -15,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from baselines.benchmark.charts import curve_chart
-from baselines.jobs.files import output_folder, written_whole
+from baselines.jobs.files import csv_text, output_folder, written_whole
 from baselines.learning.policies import JSON, load_policy
 
 Curves = Mapping[str, Mapping[int, Sequence[Mapping[str, Any]]]]
@@ -39,13 +37,7 @@ def as_csv(curves: Curves) -> str:
         for seed, curve in sorted(seeds.items())
         for line in curve
     ]
-    text = io.StringIO()
-    writer = csv.DictWriter(
-        text, list(dict.fromkeys(key for line in lines for key in line)), lineterminator="\n"
-    )
-    writer.writeheader()
-    writer.writerows(lines)
-    return text.getvalue()
+    return csv_text(lines)
 
 
 def main(arguments: Sequence[str]) -> None:

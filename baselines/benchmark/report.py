@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import base64
-import csv
 import html
-import io
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
@@ -27,7 +25,7 @@ from baselines.benchmark.ranking import (
 from baselines.benchmark.scores import Summary, best_known, scores_by_method, summaries
 from baselines.benchmark.splits import Benchmark
 from baselines.benchmark.tasks import numbers
-from baselines.jobs.files import written_whole
+from baselines.jobs.files import csv_text, written_whole
 from baselines.jobs.journal import Row
 
 NAME = "benchmark"
@@ -83,7 +81,7 @@ def write_report(
         title = "Training, judged on the validation split: the mean of seeds, and their range"
         charts[f"{NAME}-training.png"] = (title, curve_chart(curves))
     files = {
-        f"{NAME}.csv": _csv(numbers(rows)).encode(),
+        f"{NAME}.csv": csv_text(numbers(rows)).encode(),
         f"{NAME}.md": _markdown(ranked, benchmark, command, charts).encode(),
         f"{NAME}.html": _page(ranked, benchmark, command, charts).encode(),
         **{name: picture for name, (_, picture) in charts.items()},
@@ -148,11 +146,3 @@ def _inline(text: str) -> str:
     """Markdown's two stars and backticks, as far as texts, tables and lists here use them, as HTML."""
     marked = re.sub(r"\*\*(.+?)\*\*", r"<b>\1</b>", html.escape(text), flags=re.DOTALL)
     return re.sub(r"`(.+?)`", r"<code>\1</code>", marked, flags=re.DOTALL)
-
-
-def _csv(rows: Sequence[Row]) -> str:
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import random
 from contextlib import ExitStack
 from pathlib import Path
@@ -63,7 +64,7 @@ def play_command(
 
         check_physics(physics)
         check_screen()
-        numbers = iter(range(random.randrange(MOST) if seed is None else seed, 2**31))
+        numbers = itertools.count(random.randrange(MOST) if seed is None else seed)
 
         def deal() -> Dealt:
             return random_scene(next(numbers))

@@ -76,14 +76,18 @@ def demonstrate(task: WorkItem) -> Row:
         best = plan(scene, task["planner"], task["resolution"], workers=1)
     except NoPlan as none:
         return row | {"failure": str(none)}
-    # the history can be made again; without it the certificate fits into a data set's attributes
-    row["certificate"] = {k: v for k, v in best.certificate.to_json().items() if k != "history"}
+    row["certificate"] = without_history(best.certificate.to_json())
     env = gym.make(PHYSICS[task["physics"]].env_id, disable_env_checker=True, **KWARGS).unwrapped
     played = rollout(env, PathPolicy.of(best), seed=episode_seed(task["seed"]))
     env.close()
     if not played.success:
         return row | {"failure": f"environment: {played.infos[-1]['failure'] or 'not_visible'}"}
     return row | {"failure": "", "episode": packed(played)}
+
+
+def without_history(certificate: Mapping[str, Any]) -> dict[str, Any]:
+    """The history can be made again; without it a certificate fits into a data set's attributes."""
+    return {name: value for name, value in certificate.items() if name != "history"}
 
 
 def packed(played: Rollout) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from baselines.benchmark.references import load_references
 from baselines.play import judging, words
 from baselines.play.aside import Said, Work
 from baselines.play.handing_in import handed_in
-from baselines.play.keeping import PlanFiles, Recorder
+from baselines.play.keeping import AUTHOR, PlanFiles, Recorder
 from baselines.play.scenes import Dealt
 from baselines.play.session import FRAMES, SLOW, TASK, Phase, Session
 from baselines.play.words import Known, Lines
@@ -87,8 +87,6 @@ class Game:
         self.over = False
         self.written: list[str] = []
         """files of plans, in the order of their making"""
-        self.episodes = 0
-        """that ended with success"""
         self._env: TissueRetractEnv | None = None
         self._source: Any = None
         judge.start()
@@ -201,15 +199,15 @@ class Game:
 
     def _end(self) -> None:
         self._ended, session = True, self.session
-        if session.success:
-            self.episodes += 1
-            if self._recorder is not None:
-                self._key = self._recorder.keep(self.dealt, session.played)
+        if session.success and self._recorder is not None:
+            self._key = self._recorder.keep(self.dealt, session.played)
         found = handed_in(session.env.episode, session.success)
         if found is None:
             self._note = "The jaws never closed, so that there is nothing to certify."
             return
-        self._plan = judging.plan_of(self.dealt.scene, *found, self.resolution)
+        from planners.base import plan_to_json  # which the window need not wait for as it opens
+
+        self._plan = plan_to_json(self.dealt.scene, AUTHOR, *found, self.resolution)
         self._note = "The finite elements follow what you did ..."
         self._judge.ask(judging.certificate, self._plan)
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from baselines.jobs.files import write_json, written_whole
 from baselines.jobs.journal import Journal
-from baselines.learning.demos import DemosError, Kept, check_free, packed, write_episodes
+from baselines.learning.demos import DemosError, Kept, check_free, packed, without_history, write_episodes
 from baselines.play.scenes import Dealt
 from baselines.play.session import TASK
 from retract_env.physics.registry import PHYSICS
@@ -60,12 +60,12 @@ class Recorder:
         """
         check_free(name)
         self.name = name
-        self._env_id = PHYSICS[physics].env_id
-        self._kwargs = {"scene": source, "grasp": "agent", "task": TASK}
+        kwargs = {"scene": source, "grasp": "agent", "task": TASK}
+        # as the journal gives it back
+        self._env = json.loads(json.dumps({"id": PHYSICS[physics].env_id, "kwargs": kwargs}))
         self._journal = Journal(journal)
         self._file = journal
-        ours = _told(self._env_id, self._kwargs)
-        if any(row["env"] != ours for row in self._journal.rows.values()):
+        if any(row["env"] != self._env for row in self._journal.rows.values()):
             raise DemosError(
                 f"{journal}: has episodes for {name} of another physics or scene; allowed the same, another "
                 "name, or that file away"
@@ -82,7 +82,7 @@ class Recorder:
         """
         key = str(len(self._journal.rows))
         row = {
-            "env": _told(self._env_id, self._kwargs),
+            "env": self._env,
             "seed": dealt.seed,
             "scene": dealt.name,
             "scene_hash": dealt.scene.hash,
@@ -93,9 +93,8 @@ class Recorder:
         return key
 
     def certify(self, key: str, certificate: Mapping[str, Any]) -> None:
-        """Add an episode's certificate, without its history, which can be made again. Raises OSError."""
-        short = {name: value for name, value in certificate.items() if name != "history"}
-        self._journal.add(key, self._journal.rows[key] | {"certificate": short})
+        """Add an episode's certificate, without its history. Raises OSError."""
+        self._journal.add(key, self._journal.rows[key] | {"certificate": without_history(certificate)})
 
     def write(self, command: str) -> int:
         """Make the data set, and drop the journal; returns how many episodes it has, 0: none was made.
@@ -119,12 +118,7 @@ class Recorder:
         ]
         description = "Retractions by a person, in steps of a thirtieth of a second, that exposed the target."
         about = {"command": command}
-        write_episodes(self.name, episodes, self._env_id, self._kwargs, AUTHOR, description, about)
+        env = self._env
+        write_episodes(self.name, episodes, env["id"], env["kwargs"], AUTHOR, description, about)
         self._file.unlink(missing_ok=True)
         return len(rows)
-
-
-def _told(env_id: str, kwargs: Mapping[str, Any]) -> dict[str, Any]:
-    """An environment as JSON gives it back."""
-    told: dict[str, Any] = json.loads(json.dumps({"id": env_id, "kwargs": kwargs}))
-    return told

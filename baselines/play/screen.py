@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
-
-os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # pygame prints a line as it is imported
 
 import numpy as np
 import pygame
@@ -15,8 +12,7 @@ from baselines.play.session import Phase
 from baselines.play.words import PAD_HELP
 from retract_env.drawing.lettering import Lettering
 from retract_env.drawing.palette import GREY, GROUND, HATCH, INK, LIMIT, SIGHT, VALUE, rgb
-from retract_env.drawing.renderer import DRAWN_WIDTH, GROUND_ROWS, STRIP, SectionRenderer
-from retract_env.drawing.scenery import View, view_of
+from retract_env.drawing.renderer import SectionRenderer, laid_out
 from retract_env.grasp import Array
 from retract_env.mesh import SectionMesh
 from retract_env.physics.base import TissueState
@@ -95,19 +91,13 @@ class Screen:
     @staticmethod
     def to_metres(scene: Scene, place: tuple[int, int]) -> Array:
         """(2,) m, in the section, of a place in the window, px."""
-        view = view_in_picture(scene)
+        view, *_ = laid_out(scene, PICTURE)
         x, y = place[0], place[1] - HEAD
         return np.array([x / view.scale + view.left, (view.bed - y) / view.scale])
 
     @staticmethod
     def to_pixels(scene: Scene, x: float, y: float) -> tuple[int, int]:
         """The inverse, to whole pixels."""
-        column, row = view_in_picture(scene)((x, y))
+        view, *_ = laid_out(scene, PICTURE)
+        column, row = view((x, y))
         return round(column), round(row) + HEAD
-
-
-def view_in_picture(scene: Scene) -> View:
-    """Where metres fall on the picture, as `SectionRenderer` lays it out."""
-    width, height = PICTURE
-    unit = min(width / DRAWN_WIDTH, height / (0.75 * DRAWN_WIDTH))
-    return view_of(scene, width, height - round(STRIP * unit) - round(GROUND_ROWS * unit))

@@ -7,12 +7,11 @@ import warnings
 from collections import deque
 from collections.abc import Callable, Iterable
 
-from baselines.play.screen import SIZE, Screen
-
-import pygame  # isort: skip  (after the module that keeps it from printing a line)
+import pygame
 
 from baselines.play.controls import Controls
 from baselines.play.game import Command, Game
+from baselines.play.screen import SIZE, Screen
 from baselines.play.session import FRAMES, Phase
 from retract_env.errors import ConfigError
 
