@@ -61,7 +61,7 @@ class Journal:
             try:
                 entry = json.loads(line)
                 self.rows[entry["key"]] = entry["row"]
-            except (ValueError, TypeError, KeyError):
+            except (ValueError, TypeError, KeyError, RecursionError):
                 raise JournalError(f"{path}, line {number}: not a line of a journal") from None
         if len(whole) < len(text):
             os.truncate(path, len(whole))

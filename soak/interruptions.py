@@ -1,0 +1,199 @@
+"""Commands that are stopped, or find no room on the disk: nothing is half written; going on ends alike."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from baselines.jobs.journal import Journal, Row, WorkItem
+
+RETRACT = [sys.executable, "-c", "from baselines.cli import main; import sys; sys.exit(main())"]
+LONGEST = 1800.0
+"""s, for a command that nobody stops."""
+ROOM = 4096
+"""bytes, at which a file may not grow any more where the disk is full"""
+ENDS = ("interrupt", "kill", "full disk")
+
+
+@dataclass(frozen=True)
+class Command:
+    """One that is run to its end, stopped, and run again."""
+
+    arguments: tuple[str, ...]
+    """{out}: the folder that it writes into, {before}: one with a plan in it"""
+    again: tuple[str, ...] = ()
+    """what is added to go on"""
+    timing: tuple[str, ...] = ()
+    """files whose content depends on the time that the work took"""
+
+
+COARSE = ("--resolution", "coarse")
+COMMANDS: Mapping[str, Command] = {
+    "plan": Command(
+        ("plan", "homogeneous", "--planner", "circular", *COARSE, "--workers", "1", "--out", "{out}")
+    ),
+    "certify": Command(("certify", "{before}/plan.json", *COARSE, "--out", "{out}/certificate.json")),
+    "view": Command(("view", "{before}", "--out", "{out}/view.html")),
+    "reproduce": Command(("reproduce", "fig9", *COARSE, "--workers", "2", "--out", "{out}")),
+    "evaluate": Command(
+        ("evaluate", "--policy", "ppo-0", "--split", "validation", "--scenes", "2", "--jobs", "1")
+    ),
+    "benchmark": Command(
+        (
+            *("benchmark", "--method", "eased", "--method", "nothing", "--split", "validation:2"),
+            *("--jobs", "2", "--out", "{out}"),
+        ),
+        timing=("benchmark.csv", "benchmark.md", "benchmark.html"),
+    ),
+    "demos": Command(
+        (
+            *("demos", "--dataset", "soak/it-v0", "--planner", "circular", "--count", "2", *COARSE),
+            *("--jobs", "1", "--journal", "{out}/demos.jsonl"),
+        )
+    ),
+    "train": Command(
+        ("train", "ppo", "--steps", "8192", "--envs", "32", "--out", "{out}/run"), ("--resume",), ("run",)
+    ),
+}
+
+
+def stop_tasks(times: int, code: str) -> list[dict[str, Any]]:
+    """Every command, stopped in every way, so many times at a random moment."""
+    return [
+        {"part": "stops", "command": name, "end": end, "number": number, "code": code}
+        for number in range(times)
+        for name in COMMANDS
+        for end in ENDS
+    ]
+
+
+def stopped(task: WorkItem) -> Row:
+    """What is left of a command that was stopped, and what it comes to when it is run again."""
+    command, rng = COMMANDS[task["command"]], np.random.default_rng([task["number"], ENDS.index(task["end"])])
+    with tempfile.TemporaryDirectory() as parent:
+        before = Path(parent) / "before"
+        plan = COMMANDS["plan"].arguments
+        if any("{before}" in argument for argument in command.arguments):
+            _run(_filled(plan, before, before), Path(parent))
+        whole, cut = Path(parent) / "whole", Path(parent) / "cut"
+        start = time.monotonic()
+        code, errors = _run(_filled(command.arguments, whole, before), Path(parent))
+        took = time.monotonic() - start
+        if code != 0:
+            return _wrong(f"undisturbed it ends with {code}: {errors}")
+        after = float(rng.uniform(0.05, 0.95)) * took
+        arguments = _filled(command.arguments, cut, before)
+        code, errors = _run(arguments, Path(parent), task["end"], after)
+        row = {"after": after / took, "exit": code}
+        if fault := _said(task["end"], code, errors) or _half_written(cut):
+            return _wrong(fault) | row
+        again = arguments + (list(command.again) if (cut / "run" / "recipe.json").exists() else [])
+        code, errors = _run(again, Path(parent))
+        if code != 0:
+            return _wrong(f"run again it ends with {code}: {errors}") | row
+        if different := _different(whole, cut, command.timing):
+            return _wrong(f"run again it comes to other {', '.join(different)}") | row
+    return {"outcome": "went on", "detail": "", **row}
+
+
+def _wrong(what: str) -> Row:
+    return {"outcome": "unsound", "detail": what[-600:]}
+
+
+def _filled(arguments: tuple[str, ...], out: Path, before: Path) -> list[str]:
+    return [argument.format(out=out, before=before) for argument in arguments]
+
+
+def _run(arguments: list[str], home: Path, end: str = "", after: float = LONGEST) -> tuple[int, str]:
+    """Exit code and what was said on standard error; data sets are kept under `home`."""
+    environment = os.environ | {"MINARI_DATASETS_PATH": str(home / "minari")}
+    process = subprocess.Popen(
+        [*RETRACT, *arguments],
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        preexec_fn=_no_room if end == "full disk" else None,
+    )
+    try:
+        try:
+            _, errors = process.communicate(timeout=after if end in ("interrupt", "kill") else LONGEST)
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGINT if end == "interrupt" else signal.SIGKILL)
+            _, errors = process.communicate(timeout=120)
+    finally:
+        with suppress(ProcessLookupError):  # what it began, where it hangs
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+    return process.returncode, errors.strip()
+
+
+def _no_room() -> None:
+    """No file may grow beyond ROOM, as on a disk that is full."""
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (ROOM, ROOM))
+
+
+def _said(end: str, code: int, errors: str) -> str:
+    """What is wrong with how it ended."""
+    allowed = {"interrupt": (0, 130), "kill": (0, -signal.SIGKILL), "full disk": (0, 2)}[end]
+    if code not in allowed:
+        return f"{end}: exit {code}: {errors}"
+    if "Traceback" in errors:
+        return f"{end}: a traceback: {errors}"
+    if end == "full disk" and code == 2 and len(errors.splitlines()) != 1:
+        return f"{end}: not one line: {errors}"
+    return ""
+
+
+def _half_written(folder: Path) -> str:
+    """A file that is there, has no temporary name and cannot be read."""
+    readers: Mapping[str, Callable[[str], object]] = {
+        ".json": json.loads,
+        ".yaml": yaml.safe_load,
+        ".csv": lambda text: list(csv.reader(text.splitlines())),
+    }
+    for path in sorted(folder.rglob("*")) if folder.exists() else ():
+        try:
+            if path.suffix == ".jsonl":
+                Journal(path)
+            elif path.suffix in readers and not path.name.startswith("."):
+                readers[path.suffix](path.read_text("utf-8"))
+            elif path.suffix == ".html" and "</html>" not in path.read_text("utf-8"):
+                return f"{path.name} is not whole"
+        except ValueError as problem:
+            return f"{path.name}: {problem}"
+    return ""
+
+
+def _different(whole: Path, cut: Path, timing: tuple[str, ...]) -> list[str]:
+    """Names of files that are not the same, but for what depends on time, and what is hidden."""
+
+    def content(folder: Path) -> dict[str, bytes]:
+        return {
+            name: path.read_bytes()
+            for path in sorted(folder.rglob("*"))
+            if path.is_file()
+            and not (name := path.relative_to(folder).as_posix()).startswith(".")
+            and name.split("/")[0] not in timing
+            and path.suffix != ".jsonl"
+        }
+
+    one, other = content(whole), content(cut)
+    return sorted(name for name in one.keys() | other.keys() if one.get(name) != other.get(name))
