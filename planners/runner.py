@@ -32,6 +32,7 @@ class Runner:
 
     @property
     def done(self) -> bool:
+        """Whether there is nothing left to do."""
         return self.candidate.status == "done"
 
     @property
@@ -60,6 +61,7 @@ class Clock:
         return self
 
     def lap(self) -> None:
+        """Write down the time so far."""
         self.candidate.seconds = time.perf_counter() - self._start
 
     def __exit__(self, *_: object) -> None:

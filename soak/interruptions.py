@@ -164,22 +164,28 @@ def _said(end: str, code: int, errors: str) -> str:
 
 def _half_written(folder: Path) -> str:
     """A file that is there, has no temporary name and cannot be read."""
-    readers: Mapping[str, Callable[[str], object]] = {
-        ".json": json.loads,
-        ".yaml": yaml.safe_load,
-        ".csv": lambda text: list(csv.reader(text.splitlines())),
-    }
     for path in sorted(folder.rglob("*")) if folder.exists() else ():
         try:
             if path.suffix == ".jsonl":
                 Journal(path)
-            elif path.suffix in readers and not path.name.startswith("."):
-                readers[path.suffix](path.read_text("utf-8"))
-            elif path.suffix == ".html" and "</html>" not in path.read_text("utf-8"):
-                return f"{path.name} is not whole"
+            elif path.suffix in READERS and not path.name.startswith("."):
+                READERS[path.suffix](path.read_text("utf-8"))
         except ValueError as problem:
             return f"{path.name}: {problem}"
     return ""
+
+
+def _page(text: str) -> None:
+    if not text.rstrip().endswith("</html>"):
+        raise ValueError("it has no end")
+
+
+READERS: Mapping[str, Callable[[str], object]] = {
+    ".json": json.loads,
+    ".yaml": yaml.safe_load,
+    ".csv": lambda text: list(csv.reader(text.splitlines(), strict=True)),
+    ".html": _page,
+}
 
 
 def _different(whole: Path, cut: Path, timing: tuple[str, ...]) -> list[str]:

@@ -39,7 +39,7 @@ FLOORS = {
         "runner", "proposals", "leads", "search", "deform_closure", "light_grip", "eased", "swift",
         "elastica", "fem_gradient",
     ),
-    "baselines": ("jobs", "pictures", "learning", "benchmark", "paper", "play", "cli"),
+    "baselines": ("jobs", "pictures", "learning", "benchmark", "verification", "paper", "play", "cli"),
 }  # fmt: skip
 ORDER = tuple(FLOORS)
 """A package imports from itself and from those before it."""

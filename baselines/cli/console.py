@@ -29,6 +29,7 @@ class Interrupted(KeyboardInterrupt):
 
 
 def check_no_folder(file: Path) -> None:
+    """Raises BadInput for a folder in the place of a file."""
     if file.is_dir():
         raise BadInput(f"{file}: is a folder")
 
@@ -44,6 +45,7 @@ def usable_folder(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
+    """What cannot be written in the block, as BadInput."""
     try:
         yield
     except OSError as problem:
@@ -159,10 +161,12 @@ def _use_every_kernel_of_planning() -> None:
 
 
 def why(problem: OSError) -> str:
+    """The system's reason, in a few words."""
     return (problem.strerror or str(problem)).lower()
 
 
 def tell_error(message: str) -> None:
+    """One line on standard error."""
     typer.echo("error: " + " ".join(message.split()), err=True)
 
 

@@ -73,6 +73,7 @@ class Agent:
 
     @property
     def steps(self) -> int:
+        """Of the environment, so far."""
         return int(self.model.num_timesteps)
 
     def rate(self) -> float:

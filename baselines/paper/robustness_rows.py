@@ -106,6 +106,7 @@ def written(options: argparse.Namespace, journal: Path) -> list[Path]:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
+    """Do what is missing of the study's rows, for so long."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("results"), help="where .robustness.jsonl lies")
     parser.add_argument("--workers", type=int, default=cores(), help="processes, a core each")

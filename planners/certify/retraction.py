@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -107,10 +108,12 @@ class Retraction:
 
     @property
     def ended(self) -> bool:
+        """Whether it is final what became of it."""
         return self.reason is not None
 
     @property
     def clearance(self) -> float:
+        """m, in the last frame; nan before the first."""
         return self.frames[-1].clearance if self.frames else math.nan
 
     def squeeze(self, on_increment: Callable[[], None] = lambda: None) -> None:
@@ -119,14 +122,16 @@ class Retraction:
         The strain of the squeeze bounds that of the whole retraction from below. on_increment: called after
         each increment; what it raises ends the squeeze. Raises MeshError.
         """
-        self.physics = physics = FemPhysics(self.scene, self.grasp.x, self.resolution, force=self.grasp.force)
+        self.physics = physics = self._physics()
         self.reason, self.max_strain, self.required_friction = None, 0.0, 0.0
-        self.frames, self._shapes = [physics.state()], [physics.displacements]
         found: str | None = None
         try:
-            self.frames, self._shapes = [physics.reset()], [physics.displacements]
+            first = physics.reset()
         except Diverged:
-            found = "diverged"
+            first = physics.state()  # under a part of its weight, which may tear it already
+            found = "strain" if first.worst_strain > self.limits.strain else "diverged"
+        self.frames, self._shapes = [first], [physics.displacements]
+        self._measure(first)
         for part in np.linspace(0, 1, SQUEEZE_INCREMENTS + 1)[1:]:
             if found in (None, "ok"):
                 found = self._advance(float(part))
@@ -153,9 +158,14 @@ class Retraction:
         """As after `squeeze`, to the same bits, where the jaws were closed alike."""
         assert closed.state is not None, "what does not last cannot go on"
         self.close_as(closed)
-        self.physics = FemPhysics(self.scene, self.grasp.x, self.resolution, force=self.grasp.force)
+        self.physics = self._physics()
         self.physics.set_state(closed.state)
         self.physics.equilibrium.counts.update(closed.counts)
+
+    def _physics(self) -> FemPhysics:
+        """A motion that cannot be made whole ends where it breaks a limit on the way."""
+        stop_when = partial(_broken, self.limits)
+        return FemPhysics(self.scene, self.grasp.x, self.resolution, stop_when, self.grasp.force)
 
     def move(
         self, bound: Callable[[], float] = lambda: math.inf, on_increment: Callable[[], None] = lambda: None
@@ -234,27 +244,15 @@ class Retraction:
         for state in self.frames:
             self._measure(state)
 
-    def _friction(self, state: TissueState) -> float:
-        return float(state.required_friction.max()) if state.progress >= 1 else 0.0
-
     def _verdict(self, state: TissueState) -> str | None:
-        limits = self.limits
-        return verdict(
-            state.worst_strain,
-            self._friction(state),
-            state.clearance,
-            limits.strain,
-            limits.friction,
-            limits.clearance,
-            state.overlap,
-        )
+        return _verdict(self.limits, state)
 
     def _events(self, state: TissueState) -> int:
         """How many things have happened in a state, any of which ends a retraction."""
         limits = self.limits
         return (
             (state.worst_strain > limits.strain)
-            + (self._friction(state) > limits.friction)
+            + (_friction(state) > limits.friction)
             + state.overlap
             + (state.clearance >= limits.clearance)
         )
@@ -384,6 +382,27 @@ class Retraction:
         section = self.physics.section
         low = state.points[section.bottom, 1] < 0
         return float(section.bottom_length[low].sum()) / self.scene.tissue.length
+
+
+def _friction(state: TissueState) -> float:
+    """Security is asked of closed jaws."""
+    return float(state.required_friction.max()) if state.progress >= 1 else 0.0
+
+
+def _verdict(limits: Limits, state: TissueState) -> str | None:
+    return verdict(
+        state.worst_strain,
+        _friction(state),
+        state.clearance,
+        limits.strain,
+        limits.friction,
+        limits.clearance,
+        state.overlap,
+    )
+
+
+def _broken(limits: Limits, state: TissueState) -> bool:
+    return _verdict(limits, state) not in (None, "ok")
 
 
 def _known_to(greatest: float, tolerance: float, limit: float) -> float:

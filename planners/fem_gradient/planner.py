@@ -148,6 +148,7 @@ class Standing:
 
     @property
     def violation(self) -> float:
+        """By how much the constraint that is broken most is broken; 0 where all hold."""
         return max(0.0, -float(self.slack.min()))
 
 
@@ -195,6 +196,7 @@ class Program:
         return STRAIN * float(self.standing(self.responses).strain.max())
 
     def standing(self, responses: Sequence[Response]) -> Standing:
+        """Strain and constraints of a path, of the responses (t) of its increments."""
         volumes = self.sensitivity.volumes
         strain = np.array([worst_mean(r.strains, volumes) for r in responses]) / STRAIN
         cones = np.concatenate([(self._cones @ r.forces[..., None]).ravel() for r in responses])

@@ -97,6 +97,7 @@ class Found:
 
     @property
     def rank(self) -> tuple[bool, float]:
+        """The less, the better: whether it fails, then its strain, or by how much it fails."""
         holds = self.violation <= TOLERATED
         return not holds, self.strain if holds else self.violation
 

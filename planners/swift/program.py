@@ -207,6 +207,7 @@ class Program:
         return float(s.strain[0, : END + 1].max())
 
     def merit(self, unknowns: Array, s: Standing) -> float:
+        """What the search makes less: strain, penalties for broken limits and for uneven moves."""
         rough = float(np.abs(self.rough @ (unknowns / UNITS) - EVEN).sum())
         worst = max(0.0, float(self.excess(s).max()))
         return self.strain(s) / UNIT + PENALTY * worst + SMOOTH * rough

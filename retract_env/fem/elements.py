@@ -117,6 +117,7 @@ class ElementBlock:
 
     @property
     def arrays(self) -> tuple[Array, Array, Array, Array, Array, Ints]:
+        """What the kernels take besides displacements."""
         return self.gxy, self.gz, self.weight, self.mu, self.lam, self.dofs
 
     def by_element(self, values: Array) -> Array:

@@ -36,6 +36,7 @@ JIT = {
 
 @njit(**JIT)
 def gather(u, dofs, ue):
+    """The values of u (n,) at an element's unknowns `dofs` (m, LANES), into `ue`."""
     for a in range(dofs.shape[0]):
         for l in range(LANES):
             ue[a, l] = u[dofs[a, l]]

@@ -31,6 +31,8 @@ Ints = NDArray[np.int32]
 
 
 class Factor(Protocol):
+    """A sparse Cholesky factorisation, made anew for other values."""
+
     def factorize(self, values: Array) -> None:
         """values: (nnz,) of the upper triangle. Raises NotPositiveDefinite."""
 

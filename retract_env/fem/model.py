@@ -63,10 +63,11 @@ class FlapModel:
         self.free = np.flatnonzero(~prescribed).astype(np.int32)
         self.assembly = Assembly(prism.blocks, prism.size, self.free)
 
-        self.load = np.zeros(prism.size)
+        self._weight = np.zeros(prism.size)
         share = prism.depth_weight[:, None] * prism.area
         nodes = np.arange(len(section.points))
-        self.load[prism.y(nodes, every)] = -tissue.density * scene.gravity * share.ravel()
+        self._weight[prism.y(nodes, every)] = -tissue.density * scene.gravity * share.ravel()
+        self.load = self._weight
 
         on_bed = ~np.isin(section.bottom, section.patches[0])
         self._bed = prism.y(section.bottom[on_bed], every) if scene.bed else np.empty(0, np.int32)
@@ -95,6 +96,10 @@ class FlapModel:
             heights = self.prism.y(np.arange(len(self.section.points)), every)
             u[np.intersect1d(heights, self.free)] = -sunk
         return u
+
+    def weigh(self, part: float) -> None:
+        """Let the tissue have that part of its weight."""
+        self.load = part * self._weight
 
     def place_jaws(self, u: Array, jaws: Array) -> None:
         """Write into u the displacement of both patches, rigid and perpendicular to the jaw axis.
@@ -152,6 +157,7 @@ class FlapModel:
         return values
 
     def tangent_times(self, u: Array, v: Array) -> Array:
+        """The whole tangent at u, the bed's with it, applied to v (n,)."""
         out = self.assembly.tangent_times(u, v)
         down = self._bed[u[self._bed] < 0]
         out[down] += self._bed_stiffness[u[self._bed] < 0] * v[down]

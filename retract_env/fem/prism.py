@@ -107,6 +107,7 @@ class Prism:
         return self._at(nodes, 2 * np.asarray(levels))
 
     def y(self, nodes: AnyInts, levels: AnyInts) -> Ints:
+        """Unknowns u_y."""
         return self._at(nodes, 2 * np.asarray(levels) + 1)
 
     def w(self, nodes: AnyInts, levels: AnyInts) -> Ints:

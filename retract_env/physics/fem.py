@@ -29,6 +29,8 @@ Array = NDArray[np.float64]
 
 SMALLEST_CUT = 1 / 64
 """Part of a step below which it is not cut any further."""
+SMALLEST_PART = 1 / 4096
+"""Likewise of the weight, under which the softest tissue tears a hundredfold."""
 FIRST_PART = 0.3
 """Part of a step that is tried first after a corner of the path."""
 MOST_ITERATIONS, MOST_WORK = 400, 4_000_000
@@ -132,20 +134,54 @@ class FemPhysics:
         self._missed = None
 
     def reset(self) -> TissueState:
-        """Let the flap rest on its bed, the open jaws holding it where they touch. Raises Diverged."""
+        """Let the flap rest on its bed, the open jaws holding it where they touch.
+
+        Raises Diverged; the state is then that under the part of its weight that it could be given.
+        """
         self._begin()
         self.equilibrium.counts.clear()
         start = time.perf_counter()
         try:
             if self._rest is None:
                 self.equilibrium.forget()
-                self._rest = self.equilibrium.solve(self._u)
+                self._rest = self._at_rest()
         finally:
             self.seconds["equilibrium"] += time.perf_counter() - start
         self.equilibrium.forget()
         self._u, self._force = self._rest
         self._history.append((0.0, self._u))
         return self.state()
+
+    def _at_rest(self) -> tuple[Array, Array]:
+        """Displacements and forces (n,) under the weight, which comes on part by part where the first guess
+        leads nowhere. Raises Diverged."""
+        try:
+            return self.equilibrium.solve(self._u)
+        except Diverged:
+            pass
+        last = self.equilibrium.counts["iterations"] + self._most_iterations()
+        self._u, done, part = np.zeros_like(self._u), 0.0, FIRST_PART
+        try:
+            while done < 1.0:
+                share = min(done + part, 1.0)
+                self.model.weigh(share)
+                try:
+                    self._u, self._force = self.equilibrium.solve(self._u)
+                except Diverged:
+                    part /= 2
+                    if part < SMALLEST_PART or self.equilibrium.counts["iterations"] > last:
+                        raise
+                    self.equilibrium.forget()
+                else:
+                    done = share
+                    part *= 2
+        finally:
+            self.model.weigh(1.0)
+        return self._u, self._force
+
+    def _most_iterations(self) -> int:
+        """In one move."""
+        return min(MOST_ITERATIONS, max(LEAST_ITERATIONS, MOST_WORK // max(len(self.model.free), 1)))
 
     def move_to(self, pose: Array, progress: float | None = None) -> TissueState:
         """Move the jaws straight to a pose (4,) x, y, theta, separation, cutting the step where it cannot be
@@ -156,8 +192,7 @@ class FemPhysics:
         force. Raises Diverged, also where it takes more than `MOST_ITERATIONS` or `MOST_WORK`.
         """
         pose = self._with_separation(pose, self._pose[3])
-        counts, size = self.equilibrium.counts, len(self.model.free)
-        allowed = min(MOST_ITERATIONS, max(LEAST_ITERATIONS, MOST_WORK // max(size, 1)))
+        counts, allowed = self.equilibrium.counts, self._most_iterations()
         last = counts["iterations"] + allowed
         start_pose, begin, target = self._pose, self._progress, progress
         before, after = self._levels(progress)

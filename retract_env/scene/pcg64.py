@@ -68,6 +68,7 @@ def _high_product(a: np.uint64, b: np.uint64) -> np.uint64:
 
 @njit(cache=True, nogil=True)
 def next_uint64(row: State) -> np.uint64:
+    """The next 64 random bits."""
     high, low = row[_HIGH], row[_LOW]
     high = high * _FACTOR_LOW + low * _FACTOR_HIGH + _high_product(low, _FACTOR_LOW)
     low *= _FACTOR_LOW
@@ -99,6 +100,7 @@ def random(row: State) -> float:
 
 @njit(cache=True, nogil=True)
 def uniform(row: State, low: float, high: float) -> float:
+    """The next number, uniform in [low, high)."""
     return low + (high - low) * random(row)
 
 

@@ -51,6 +51,7 @@ _DENSITY = np.array([1.0, *(math.exp(-0.5 * (width * _STEPS) ** 2) for width in 
 
 @njit(cache=True, nogil=True)
 def standard_normal(row: State) -> float:
+    """The next number, normal with mean 0 and deviation 1."""
     while True:
         drawn = next_uint64(row)
         layer, steps = np.int64(drawn & _255), (drawn >> _9) & _MANTISSA

@@ -7,11 +7,11 @@ from collections.abc import Callable
 from functools import cache, partial
 from typing import Any
 
+from baselines.verification.flaps import HEIGHT, LENGTH, flap
 from planners.certify import Certificate, certify
 from planners.paths import circular, ctc, linear
 from retract_env.grasp import Grasp, JawPath
 from retract_env.scene import Limits, LineOfSight, Scene, Vein
-from tests.retract_env.bodies import HEIGHT, LENGTH, flap
 
 MOTIONS: dict[str, Callable[[Scene, Grasp], JawPath]] = {
     "ctc": ctc,

@@ -8,6 +8,7 @@ from functools import cache
 
 import pytest
 
+from baselines.verification.flaps import HEIGHT
 from planners import plan
 from planners.base import NoPlan, Plan, Verdict
 from planners.certify import certify
@@ -18,7 +19,6 @@ from planners.search import generate_and_test, race
 from retract_env.grasp import Grasp, JawPath
 from retract_env.scene import Scene
 from tests.planners.retractions import MOTIONS, a_grasp, a_scene, poses
-from tests.retract_env.bodies import HEIGHT
 
 FRICTION = 0.5
 ALLOWED = (1 - MARGIN) * FRICTION

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from baselines.verification.flaps import HEIGHT, LENGTH
 from planners import PLANNERS
 from planners.paths import PAPER_PATHS, PATHS
 from planners.proposals import along, stable_grasps, uniform_grasps
 from retract_env.spring import SpringModel, optimal_compression
 from tests.planners.retractions import a_scene, veined
-from tests.retract_env.bodies import HEIGHT, LENGTH
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENES = {"homogeneous": a_scene(), "veined": veined()}

@@ -9,8 +9,8 @@ from itertools import permutations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from baselines.verification.bodies import Body, Field
 from retract_env.fem.elements import ElementBlock, lame
-from tests.retract_env.bodies import Body, Field
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]

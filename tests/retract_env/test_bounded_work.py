@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from baselines.verification.flaps import HEIGHT
 from retract_env.env import TissueRetractEnv
 from retract_env.errors import Diverged, MeshError
 from retract_env.grasp import Grasp
@@ -12,7 +13,6 @@ from retract_env.physics import fem
 from retract_env.physics.fem import FemPhysics
 from retract_env.scene import LineOfSight, Scene, Tissue, Vein
 from retract_env.task import default_scene, episode
-from tests.retract_env.bodies import HEIGHT
 
 
 def flap(length: float, height: float, depth: float, modulus: float, *veins: Vein) -> Scene:

@@ -15,13 +15,13 @@ from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 import retract_env.physics.fem
+from baselines.verification.flaps import flap, square_vein
 from retract_env.env import TissueRetractEnv
 from retract_env.errors import Diverged, SceneError
 from retract_env.physics.base import TissueState
 from retract_env.physics.fem import FemPhysics
 from retract_env.scene import Scene, load_scene
 from retract_env.task import SLICES, TaskConfig, default_scene
-from tests.retract_env.bodies import flap, square_vein
 from tests.retract_env.playing import BULLET, FEM, LIFT, ROD, digest, play
 
 ROOT = Path(__file__).resolve().parents[2]

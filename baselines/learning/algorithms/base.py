@@ -45,6 +45,7 @@ class Learner(Part):
 
     @property
     def actor(self) -> Actor:
+        """What kind of policy it trains."""
         assert self.ACTOR is not None
         return self.ACTOR
 

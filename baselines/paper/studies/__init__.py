@@ -1,4 +1,4 @@
-"""The studies that `retract reproduce` repeats, a file each: the paper's figures, and three of our own."""
+"""The studies that `retract reproduce` repeats, a file each: the paper's figures, and four of our own."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ STUDIES: dict[str, str] = {
     "pruning": "baselines.paper.studies.pruning",
     "light_grip": "baselines.paper.studies.light_grip",
     "robustness": "baselines.paper.studies.robustness",
+    "verification": "baselines.paper.studies.verification",
 }
 """The module of each study, by the study's name; its STUDY is the study. A module is imported when its study
 is asked for, so that the names can be listed without matplotlib."""

@@ -160,6 +160,7 @@ def beaten(places: Sequence[float], curves: dict[str, list[float]]) -> list[str]
 
 
 def exceptions(worse: Sequence[str], of: int) -> str:
+    """From which grasps another path is better, in words."""
     return f"another path is better from {len(worse)} of {of}" + (f": {', '.join(worse)}" if worse else "")
 
 
@@ -186,6 +187,7 @@ def _least(rows: Sequence[Row], scenes: Sequence[str]) -> str:
 
 
 def failures(rows: Sequence[Row]) -> str:
+    """How often each path fails and why, in words."""
     words = {"slip": "needs too much friction", "strain": "too much strain", "not_visible": "stays hidden"}
     parts = []
     for path, reason in product(PAPER_PATHS, sorted({row["reason"] for row in rows} - {"ok"})):

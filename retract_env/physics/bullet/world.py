@@ -116,6 +116,7 @@ class World:
 
     @property
     def has_bed(self) -> bool:
+        """Whether the bed is there now."""
         return self._bed is not None
 
     def want_bed(self, wanted: bool) -> None:

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from baselines.paper.skins import Faces, skins
 from baselines.paper.studies.fig9 import Camera
+from baselines.verification.flaps import HEIGHT, LENGTH
 from planners.certify import Trial
 from planners.paths import ctc
 from retract_env.scene import Scene, Tissue
 from tests.planners.retractions import a_grasp, veined
-from tests.retract_env.bodies import HEIGHT, LENGTH
 
 Array = NDArray[np.float64]
 

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import retract_env
+from baselines.verification.flaps import HEIGHT, LENGTH
 from planners.certify import REASONS, Certificate, Trial, certify, differences
 from planners.certify.trial import VERIFIED_IN
 from planners.paths import ctc
@@ -21,7 +22,6 @@ from retract_env.errors import Diverged
 from retract_env.grasp import Grasp, JawPath
 from retract_env.physics.fem import FemPhysics
 from tests.planners.retractions import a_grasp, a_scene, judged, poses, retraction, veined
-from tests.retract_env.bodies import HEIGHT, LENGTH
 
 STABLE_NAMES = {
     *("certified", "reason", "max_strain", "strain_limit", "required_friction", "friction_limit"),

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 import shapely
 
+from baselines.verification.flaps import HEIGHT
+from baselines.verification.sections import grid_section
 from planners.certify import Certificate
 from planners.paths import ctc
 from retract_env.objectives import inside_block, verdict
 from retract_env.physics.measures import EDGE, doubled, outline_ring
 from retract_env.scene import LineOfSight, Scene
 from tests.planners.retractions import a_grasp, a_scene, judged, poses
-from tests.retract_env.bodies import HEIGHT
-from tests.retract_env.sections import grid_section
 
 
 def nearly_straight_up(target: float, slope: float) -> Scene:

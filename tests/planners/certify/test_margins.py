@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from baselines.verification.flaps import HEIGHT
 from planners.certify import Certificate
 from planners.certify.retraction import ON_TIME
 from planners.paths import ctc
@@ -12,7 +13,6 @@ from retract_env.objectives import clearance
 from retract_env.physics.measures import tool_outline
 from retract_env.scene import Jaws, Limits, Scene, load_scene
 from tests.planners.retractions import a_grasp, a_scene, judged
-from tests.retract_env.bodies import HEIGHT
 
 
 def certified(scene: Scene) -> Certificate:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from baselines.verification.flaps import HEIGHT, LENGTH
 from planners.base import NoPlan, Plan
 from planners.certify import certify
 from planners.paths import ctc
@@ -15,7 +16,6 @@ from planners.search import race
 from retract_env.grasp import Grasp, JawPath
 from retract_env.scene import Scene
 from tests.planners.retractions import a_grasp, a_scene, retraction
-from tests.retract_env.bodies import HEIGHT, LENGTH
 
 pytest.importorskip("casadi")
 adaptation = pytest.importorskip("planners.elastica.planner")

@@ -9,13 +9,13 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_bvp
 
+from baselines.verification.flaps import HEIGHT, LENGTH, flap
 from planners.elastica.grip import Grip
 from planners.paths import arc_turn, ctc_motion, goal_radius
 from retract_env.grasp import Grasp
 from retract_env.physics.fem import FemPhysics
 from retract_env.rod.sections import elements
 from retract_env.scene import Limits, LineOfSight, Scene, Tissue
-from tests.retract_env.bodies import HEIGHT, LENGTH, flap
 
 ca: Any = pytest.importorskip("casadi")
 elastica = pytest.importorskip("planners.elastica.program")

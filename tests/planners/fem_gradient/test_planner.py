@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 import planners
+from baselines.verification.flaps import HEIGHT
 from planners import eased, effort
 from planners.base import Candidate, NoPlan, Plan
 from planners.certify import certify
@@ -41,7 +42,6 @@ from retract_env.objectives import clearance, required_friction, worst_mean
 from retract_env.physics.fem import FemPhysics
 from retract_env.scene import Scene
 from tests.planners.retractions import a_grasp, a_scene, veined
-from tests.retract_env.bodies import HEIGHT
 
 Array = NDArray[np.float64]
 

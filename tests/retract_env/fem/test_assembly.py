@@ -10,12 +10,13 @@ import pytest
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
+from baselines.verification.bodies import Body, prism_body
+from baselines.verification.flaps import HEIGHT, flap, square_vein
 from retract_env.errors import NotPositiveDefinite
 from retract_env.fem import linear
 from retract_env.fem.assembly import Assembly, block_triangle
 from retract_env.fem.linear import Factor, Qdldl
 from retract_env.mesh import Resolution, section_mesh
-from tests.retract_env.bodies import HEIGHT, Body, flap, prism_body, square_vein
 from tests.retract_env.boxes import box_grid, hex27, isoparametric, tet10, tetrahedra
 
 Array = NDArray[np.float64]

@@ -7,10 +7,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
+from baselines.verification.flaps import flap
 from retract_env.fem import descent
 from retract_env.fem.model import FlapModel
 from retract_env.mesh import Resolution, section_mesh
-from tests.retract_env.bodies import flap
 
 Array = NDArray[np.float64]
 

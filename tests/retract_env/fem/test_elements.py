@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from baselines.verification.bodies import Body, deformation, prism_body, relax, stress
+from baselines.verification.flaps import EPS, HEIGHT, flap
 from retract_env.fem.assembly import Assembly
 from retract_env.fem.elements import (
     PARTS,
@@ -24,7 +26,6 @@ from retract_env.fem.prism import Prism, depth_breaks
 from retract_env.mesh import Resolution, section_mesh
 from retract_env.objectives import strain, worst_mean
 from retract_env.scene import Jaws
-from tests.retract_env.bodies import EPS, HEIGHT, Body, deformation, flap, prism_body, relax, stress
 from tests.retract_env.boxes import box_grid, hex27, isoparametric, tet10, tetrahedra
 
 Array = NDArray[np.float64]

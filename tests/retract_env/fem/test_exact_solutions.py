@@ -9,9 +9,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
+from baselines.verification.bodies import Body, deformation, prism_body, relax, stress
+from baselines.verification.flaps import HEIGHT, flap
 from retract_env.fem.elements import lame
 from retract_env.mesh import Resolution, section_mesh
-from tests.retract_env.bodies import HEIGHT, Body, deformation, flap, prism_body, relax, stress
 from tests.retract_env.boxes import box_grid, hex27, isoparametric, tet10, tetrahedra
 
 Array = NDArray[np.float64]

@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from baselines.verification.bodies import Body, relax
+from baselines.verification.flaps import HEIGHT, flap
 from retract_env.fem.assembly import Assembly
 from retract_env.fem.elements import lame
 from retract_env.fem.linear import cholesky
 from retract_env.grasp import to_jaws
 from retract_env.objectives import strain, worst_mean
 from retract_env.physics.fem import FemPhysics
-from tests.retract_env.bodies import HEIGHT, Body, flap, relax
 from tests.retract_env.boxes import Shape, body_load, box_grid, hex27, isoparametric, tet10, tetrahedra
 
 Array = NDArray[np.float64]

@@ -10,10 +10,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from baselines.verification.bodies import Body, deformation, prism_body, stress
+from baselines.verification.flaps import EPS, HEIGHT, flap, square_vein
 from retract_env.fem.elements import ElementBlock, lame
 from retract_env.fem.kernels import LANES
 from retract_env.mesh import Resolution, section_mesh
-from tests.retract_env.bodies import EPS, HEIGHT, Body, deformation, flap, prism_body, square_vein, stress
 from tests.retract_env.boxes import box_grid, hex27, isoparametric, tet10, tetrahedra
 
 Array = NDArray[np.float64]

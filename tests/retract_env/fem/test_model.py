@@ -7,13 +7,14 @@ import pytest
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
+from baselines.verification.bodies import settled
+from baselines.verification.flaps import EPS, HEIGHT, flap, square_vein
+from baselines.verification.sections import grid_section
 from retract_env.fem.model import FlapModel
 from retract_env.fem.solver import Equilibrium
 from retract_env.grasp import to_jaws
 from retract_env.mesh import Resolution, section_mesh
 from retract_env.scene import Jaws, Scene
-from tests.retract_env.bodies import EPS, HEIGHT, flap, settled, square_vein
-from tests.retract_env.sections import grid_section
 
 Array = NDArray[np.float64]
 

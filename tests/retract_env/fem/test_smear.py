@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from baselines.verification.bodies import prism_body
+from baselines.verification.flaps import HEIGHT, LENGTH, flap, square_vein
 from retract_env.fem.elements import TRIANGLE_RULES
 from retract_env.fem.prism import Prism
 from retract_env.fem.smear import relative_stiffness
@@ -16,7 +18,6 @@ from retract_env.mesh import RESOLUTIONS, section_mesh
 from retract_env.mesh.outlines import reaching
 from retract_env.physics.fem import FemPhysics
 from retract_env.scene import Vein, load_scene
-from tests.retract_env.bodies import HEIGHT, LENGTH, flap, prism_body, square_vein
 
 SCENES = Path(__file__).resolve().parents[3] / "configs" / "scenes"
 MODULUS = flap().tissue.modulus

@@ -8,6 +8,9 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 from scipy.sparse.linalg import eigsh
 
+from baselines.verification.bodies import relax, settled
+from baselines.verification.flaps import HEIGHT, flap, square_vein
+from baselines.verification.sections import turned_over
 from retract_env.errors import Diverged
 from retract_env.fem import prism
 from retract_env.fem.model import FlapModel
@@ -16,8 +19,6 @@ from retract_env.grasp import to_jaws
 from retract_env.mesh import Resolution, section_mesh
 from retract_env.objectives import strain, worst_mean
 from retract_env.scene import Scene
-from tests.retract_env.bodies import HEIGHT, flap, relax, settled, square_vein
-from tests.retract_env.sections import turned_over
 
 Array = NDArray[np.float64]
 

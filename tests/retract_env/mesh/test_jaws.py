@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from baselines.verification.flaps import flap
 from retract_env.mesh import jaw_range, patch_ends
 from retract_env.scene import Jaws
 from retract_env.spring import SpringModel
 from retract_env.task import actions
 from retract_env.task.episode import spring_grasps
-from tests.retract_env.bodies import flap
 
 lengths = st.floats(1e-3, 0.5)
 shares = st.floats(1e-3, 0.2499)

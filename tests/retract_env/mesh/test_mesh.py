@@ -11,9 +11,9 @@ import pytest
 from numpy.typing import NDArray
 from shapely import Polygon
 
+from baselines.verification.flaps import HEIGHT, LENGTH, flap
 from retract_env.mesh import RESOLUTIONS, SectionMesh, patch_ends, section_mesh
 from retract_env.scene import Jaws, Scene, Vein, load_scene, sample_scene
-from tests.retract_env.bodies import HEIGHT, LENGTH, flap
 
 Array = NDArray[np.float64]
 

@@ -10,6 +10,7 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from baselines.verification.flaps import HEIGHT, LENGTH, flap, square_vein
 from planners.certify import certify
 from planners.paths import ctc
 from retract_env.mesh import RESOLUTIONS, section_mesh
@@ -18,7 +19,6 @@ from retract_env.physics.fem import FemPhysics
 from retract_env.scene import Scene, Vein, load_scene, sample_scene
 from retract_env.scene.veins import MIN_GAP
 from retract_env.spring import SpringModel
-from tests.retract_env.bodies import HEIGHT, LENGTH, flap, square_vein
 
 SCENES = Path(__file__).resolve().parents[3] / "configs" / "scenes"
 few = settings(max_examples=25, deadline=None)

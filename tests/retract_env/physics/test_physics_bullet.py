@@ -16,6 +16,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from baselines.verification.bodies import relax
+from baselines.verification.flaps import HEIGHT, LENGTH, flap, square_vein
 from planners.paths import INCREMENTS, ctc
 from retract_env.errors import Diverged
 from retract_env.fem.linear import cholesky
@@ -25,7 +27,6 @@ from retract_env.physics.bullet.flap import BulletPhysics, BulletResolution
 from retract_env.physics.bullet.tetmesh import TetMesh
 from retract_env.physics.fem import FemPhysics
 from retract_env.scene import Scene, Vein
-from tests.retract_env.bodies import HEIGHT, LENGTH, flap, relax, square_vein
 
 pytestmark = pytest.mark.skipif(
     find_spec("pybullet") is None, reason="pybullet is not installed: make bullet"
@@ -365,7 +366,7 @@ def test_without_pybullet_the_error_says_what_to_do() -> None:
 import sys
 sys.modules["pybullet"] = None
 from retract_env.physics.bullet.flap import BulletPhysics
-from tests.retract_env.bodies import flap
+from baselines.verification.flaps import flap
 try:
     BulletPhysics(flap(), -0.025)
 except ImportError as error:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from baselines.verification.flaps import HEIGHT, LENGTH, flap, square_vein
 from planners.paths import INCREMENTS, ctc
 from retract_env.errors import Diverged
 from retract_env.fem.solver import Equilibrium
@@ -17,7 +18,6 @@ from retract_env.objectives import clearance, required_friction
 from retract_env.physics.base import TissueState
 from retract_env.physics.fem import FemPhysics
 from retract_env.scene import Scene
-from tests.retract_env.bodies import HEIGHT, LENGTH, flap, square_vein
 
 Array = NDArray[np.float64]
 
@@ -77,6 +77,36 @@ def test_a_flap_at_rest_is_hardly_strained_and_hides_the_target() -> None:
     assert np.abs(state.points - physics.section.points).max() < 1e-2 * HEIGHT
     corner = -0.75 * LENGTH / np.sqrt(2)  # the free end's lower corner below the line of sight
     assert state.clearance == pytest.approx(corner, abs=1e-2 * HEIGHT)
+
+
+SOFT = flap(modulus=1e3, gravity=30.0)
+"""It sinks into its bed so far that the first guess turns elements at the fixed end inside out."""
+HANGING = flap(modulus=1.5e3, bed=False)
+"""It hangs straight down from its jaws."""
+
+
+@pytest.mark.parametrize("scene", [SOFT, HANGING], ids=["soft", "hanging"])
+def test_a_flap_comes_to_rest_where_the_first_guess_leads_nowhere(scene: Scene) -> None:
+    """Its weight comes on in parts, and more and smaller parts lead to the same place."""
+    physics = FemPhysics(scene, GRASP.x, "coarse")
+    model, solver = physics.model, Equilibrium(physics.model)
+    with pytest.raises(Diverged):
+        solver.solve(model.at_rest())
+    physics.reset()
+    u = np.zeros(model.prism.size)
+    for part in np.linspace(0, 1, 65)[1:]:
+        model.weigh(float(part))
+        u, _ = solver.solve(u)
+    assert np.abs(physics.displacements - u).max() < 1e-3 * HEIGHT
+
+
+def test_a_flap_that_its_weight_tears_says_how_far_it_got() -> None:
+    physics = FemPhysics(flap(modulus=100.0, gravity=100.0, bed=False), GRASP.x, "coarse")
+    with pytest.raises(Diverged):
+        physics.reset()
+    state = physics.state()
+    assert state.progress == 0 and np.isfinite(state.points).all()
+    assert state.worst_strain > 0.5
 
 
 @pytest.mark.parametrize("scene", [veined(), flap(length=LENGTH, depth=0.02)], ids=["veins", "deep"])

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from baselines.verification.bodies import relax
+from baselines.verification.flaps import HEIGHT, LENGTH, flap
 from retract_env.physics.bullet.prediction import Prediction
 from retract_env.physics.bullet.tetmesh import tet_mesh
 from retract_env.physics.measures import TetrahedralFlap
-from tests.retract_env.bodies import HEIGHT, LENGTH, flap, relax
 
 Array = NDArray[np.float64]
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from baselines.verification.flaps import HEIGHT, LENGTH, flap, square_vein
 from retract_env.errors import MeshError
 from retract_env.physics.bullet.tetmesh import TetMesh, tet_mesh
 from retract_env.scene import Jaws, Scene
-from tests.retract_env.bodies import HEIGHT, LENGTH, flap, square_vein
 
 Array = NDArray[np.float64]
 

@@ -11,10 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from typing_extensions import Unpack
 
-from retract_env.rod import chain
-from retract_env.rod.chain import LANES
-from retract_env.rod.equilibrium import TOLERANCE
-from tests.retract_env.rod.chains import (
+from baselines.verification.chains import (
     LENGTH,
     PLAIN,
     ROUNDING,
@@ -28,6 +25,9 @@ from tests.retract_env.rod.chains import (
     swept,
     total_energy,
 )
+from retract_env.rod import chain
+from retract_env.rod.chain import LANES
+from retract_env.rod.equilibrium import TOLERANCE
 
 Array = NDArray[np.float64]
 

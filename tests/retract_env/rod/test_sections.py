@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from baselines.verification.flaps import HEIGHT, LENGTH, flap
 from planners.elastica.grip import measured_grip
 from retract_env.grasp import Grasp
 from retract_env.rod.sections import elements
 from retract_env.scene import Tissue, Vein
 from tests.planners.retractions import box
-from tests.retract_env.bodies import HEIGHT, LENGTH, flap
 
 E = 40e3
 

@@ -1,4 +1,4 @@
-"""Sections of the flap that a test lays out itself."""
+"""Sections of the flap, laid out by hand."""
 
 from __future__ import annotations
 

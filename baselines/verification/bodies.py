@@ -1,4 +1,4 @@
-"""Bodies that the tests deform: the flap as a prism, any body's fields, and a plain Newton solver."""
+"""Bodies to be deformed: the flap as a prism, any body's fields, and a plain Newton solver."""
 
 from __future__ import annotations
 
@@ -16,49 +16,11 @@ from retract_env.fem.model import FlapModel
 from retract_env.fem.prism import Prism
 from retract_env.fem.solver import Equilibrium
 from retract_env.mesh import SectionMesh
-from retract_env.scene import Jaws, LineOfSight, Scene, Tissue, Vein
+from retract_env.scene import Scene
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Field = Callable[[Array], Array]
-
-LENGTH, HEIGHT = 0.05, 0.0044
-EPS = float(np.finfo(float).eps)
-
-
-def flap(
-    length: float = LENGTH,
-    height: float = HEIGHT,
-    depth: float = HEIGHT,
-    modulus: float = 40e3,
-    poisson: float = 0.45,
-    veins: Sequence[Vein] = (),
-    gravity: float = 9.8,
-    bed: bool = True,
-    jaws: Jaws | None = None,
-) -> Scene:
-    """The paper's homogeneous flap (Sec. V), B at a quarter of its length, with changes."""
-    return Scene(
-        name="test",
-        tissue=Tissue(
-            length=length,
-            height=height,
-            depth=depth,
-            density=1000.0,
-            modulus=modulus,
-            poisson=poisson,
-            veins=tuple(veins),
-        ),
-        line_of_sight=LineOfSight.at(-0.25 * length, np.pi / 4),
-        jaws=jaws or Jaws(),
-        gravity=gravity,
-        bed=bed,
-    )
-
-
-def square_vein(x: float, y: float, half: float, modulus: float = 200e3, poisson: float = 0.45) -> Vein:
-    corners = [(x - half, y - half), (x + half, y - half), (x + half, y + half), (x - half, y + half)]
-    return Vein(outline=tuple(corners), modulus=modulus, poisson=poisson)
 
 
 @dataclass(frozen=True, repr=False, eq=False)

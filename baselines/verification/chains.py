@@ -1,4 +1,4 @@
-"""Chains of rod elements as the tests want them: rows by lanes, every lane the same unless told."""
+"""Chains of rod elements laid out by hand: rows by lanes, every lane the same unless told."""
 
 from __future__ import annotations
 

@@ -1,0 +1,1 @@
+"""Evidence that the equations are solved right, number by number."""

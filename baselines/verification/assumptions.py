@@ -1,0 +1,49 @@
+"""Model assumptions, each with its size: what a certificate states where one of them is changed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from baselines.jobs.journal import Row
+from baselines.verification.solution import CASES, until_seen
+from planners.certify import certify
+from retract_env.scene import Scene
+
+BASES = ("homogeneous, CTC", "eased, light grip")
+"""Cases of `solution`, a firm grip and a light one."""
+CHANGES: Mapping[str, tuple[str, str, Any]] = {
+    "as it is": ("", "", None),
+    "Poisson's ratio .40 for .45": ("tissue", "poisson", 0.40),
+    "Poisson's ratio .49 for .45": ("tissue", "poisson", 0.49),
+    "jaws .5 mm wide for 1 mm": ("jaws", "width", 5e-4),
+    "jaws 2 mm wide for 1 mm": ("jaws", "width", 2e-3),
+    "20 mm deep for 4.4 mm": ("tissue", "depth", 0.020),
+    "20 mm deep, jaws hold 4.4 mm of it": ("jaws", "depth", 4.4e-3),
+    "no bed": ("", "bed", False),
+    "weight 10 % more": ("tissue", "density", 1100.0),
+}
+"""What is changed: a part of the scene, its field, and the value there."""
+
+
+def changed(scene: Scene, change: str) -> Scene:
+    """The scene with another assumption."""
+    part, field, value = CHANGES[change]
+    data = scene.dump()
+    if part == "jaws" and field == "depth":
+        data["tissue"]["depth"] = 0.020
+    if field:
+        (data[part] if part else data)[field] = value
+    return Scene.from_data(data)
+
+
+def with_change(resolution: str, case: str, change: str) -> Row:
+    """What the certificate of a case states of the same motion of the jaws with another assumption."""
+    scene, path = until_seen(CASES[case])
+    found = certify(changed(scene, change), CASES[case].grasp, path, resolution)
+    return {
+        "reason": found.reason,
+        "max_strain": found.max_strain,
+        "required_friction": found.required_friction,
+        "clearance": found.clearance,
+    }
