@@ -44,7 +44,8 @@ class Motion:
 
     @property
     def flaps(self) -> int:
-        return self.clamps.shape[1]
+        found: int = self.clamps.shape[1]
+        return found
 
 
 def rolled(elements: int, flaps: int) -> Motion:

@@ -122,4 +122,5 @@ def _taken(block: rods.Block, lane: int, course: Course, step: int) -> tuple[Arr
 def friction(states: Array) -> Array:
     """(n,) friction that each state requires, the larger of both jaws'; inf where a jaw does not press."""
     normal, along = states[:, 6:8], np.abs(states[:, 8:10])
-    return np.where(normal > 0, along / np.where(normal > 0, normal, 1.0), np.inf).max(axis=1)
+    found: Array = np.where(normal > 0, along / np.where(normal > 0, normal, 1.0), np.inf).max(axis=1)
+    return found

@@ -98,7 +98,8 @@ def correction(
         for i, (low, high) in enumerate(pairwise(ends)):
             inside = values[(places >= low) & (places <= high)]
             out[i] = max(out[i], inside.max(initial=-np.inf))
-        return out
+        found: Array = out
+        return found
 
     def there(values: Array) -> Array:
         """(t, ...) at the poses, of values (n, ...) of the history's frames."""
@@ -106,7 +107,8 @@ def correction(
         return np.stack([np.interp(progress, at, v) for v in flat.T], axis=-1).reshape(-1, *values.shape[1:])
 
     def of(name: str) -> Array:
-        return np.asarray(history[name], float)[moved]
+        found: Array = np.asarray(history[name], float)[moved]
+        return found
 
     unit = scene.tissue.modulus * scene.tissue.height * scene.tissue.depth
     jaws, reactions = of("jaws"), of("reactions") / unit

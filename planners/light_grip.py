@@ -159,7 +159,8 @@ class LightGrip(Contestant):
             try:
                 delta = search.send(verdict)
             except StopIteration as end:
-                return end.value
+                found: tuple[float, str] = end.value
+                return found
 
     def _closed_by(self, delta: float) -> tuple[Grasp, JawPath]:
         grasp = Grasp(self.grasp.x, delta, self.grasp.score)

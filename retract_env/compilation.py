@@ -68,7 +68,8 @@ def _kept_in(folder: Path) -> Path:
     if elsewhere := os.environ.get("NUMBA_CACHE_DIR"):
         from numba.core.caching import _CacheLocator
 
-        return Path(elsewhere) / _CacheLocator.get_suitable_cache_subpath(str(folder / "source.py"))
+        found: Path = Path(elsewhere) / _CacheLocator.get_suitable_cache_subpath(str(folder / "source.py"))
+        return found
     return folder / "__pycache__"
 
 

@@ -138,7 +138,8 @@ def read_mask(mask: Any, count: int) -> NDArray[np.bool_]:
     mask = np.asarray(mask)
     if mask.shape != (count,) or mask.dtype != np.bool_ or not mask.any():
         raise ValueError(f"options['reset_mask'] allowed ({count},) bool, at least one of them True")
-    return mask
+    found: NDArray[np.bool_] = mask
+    return found
 
 
 def read_seeds(seed: int | Sequence[int | None] | None, count: int) -> list[int | None]:

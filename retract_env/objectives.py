@@ -102,7 +102,8 @@ def bed_hits(points: ArrayLike, camera: ArrayLike) -> Array:
     drop = ay - np.maximum(points[..., 1], 0.0)
     aside = points[..., 0] - ax
     below = drop > 0
-    return np.where(below, ax + aside * ay / np.where(below, drop, 1.0), np.copysign(np.inf, aside))
+    found: Array = np.where(below, ax + aside * ay / np.where(below, drop, 1.0), np.copysign(np.inf, aside))
+    return found
 
 
 def seen_spans(outline: ArrayLike, camera: ArrayLike, near: float, far: float) -> Array:

@@ -95,7 +95,7 @@ def stated_numbers(scene: Scene) -> Array:
 @njit(cache=True, nogil=True, error_model="numpy")
 def _force_factor(prior: Array, z: Array, force: float) -> float:
     half = max(prior[_FORCE], prior[_FLOOR] / force) if force > 0 else prior[_FORCE]
-    return 1.0 + half * z[_FORCE]
+    return float(1.0 + half * z[_FORCE])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -166,9 +166,9 @@ def close_on(
     out[SEPARATION], out[HOLDS_BY] = separation, force
     if not math.isnan(force):
         out[HOLDS_BY] = _force_factor(prior, z, force) * force
-        return out[HOLDS_BY] > 0.0
+        return bool(out[HOLDS_BY] > 0.0)
     out[SEPARATION], out[CLOSED_FURTHER] = separation - numbers[CLOSER], numbers[CLOSER]
-    return 0.0 < numbers[HEIGHT] - out[SEPARATION] < numbers[HEIGHT]
+    return bool(0.0 < numbers[HEIGHT] - out[SEPARATION] < numbers[HEIGHT])
 
 
 def values(scene: Scene, z: ArrayLike, force: float = math.nan) -> Values:

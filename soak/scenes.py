@@ -98,7 +98,8 @@ def _outline(rng: np.random.Generator, left: float, right: float, height: float)
         turns = np.linspace(0.0, 2 * math.pi, int(rng.integers(5, 24)), endpoint=False)
         x = (left + right) / 2 + (right - left) / 2 * np.cos(turns)
         y = (low + high) / 2 + (high - low) / 2 * np.sin(turns)
-        return np.stack([x, y], axis=-1).tolist()
+        found: Outline = np.stack([x, y], axis=-1).tolist()
+        return found
     reach = float(rng.uniform(0.1, 0.9)) * height
     low, high = {"strip": (0.0, height), "floor": (0.0, reach), "roof": (height - reach, height)}[str(kind)]
     return [[left, low], [right, low], [right, high], [left, high]]

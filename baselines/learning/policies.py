@@ -173,7 +173,8 @@ class Policy:
             x = weight @ x + bias
             x = np.tanh(x) if self.activation == "tanh" else np.maximum(x, 0)
         x = self.weights[-1] @ x + self.biases[-1]
-        return (np.tanh(x) if self.output == "tanh" else np.clip(x, -1, 1)).astype(np.float32)
+        found: Floats = (np.tanh(x) if self.output == "tanh" else np.clip(x, -1, 1)).astype(np.float32)
+        return found
 
     def widened(self) -> Policy:
         """The same policy on all of today's numbers, of which it does not heed those that it did not know."""

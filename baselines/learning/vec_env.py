@@ -66,7 +66,8 @@ class BatchVecEnv(VecEnv):
         self._reset_options()
         for counted in (self._returns, self._lengths, *self._terms.values()):
             counted[:] = 0
-        return observations
+        found: NDArray[np.float32] = observations
+        return found
 
     def step_async(self, actions: NDArray[Any]) -> None:
         """Actions (n, 3) of the next `step_wait`."""

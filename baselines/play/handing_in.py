@@ -64,7 +64,8 @@ def _off(poses: Array) -> Array:
     share = ((flat[1:-1] - flat[0]) @ way / max(float(way @ way), 1e-30)).clip(0.0, 1.0)
     straight = poses[0] + share[:, None] * (poses[-1] - poses[0])
     apart = (to_jaws(straight) - to_jaws(poses[1:-1])).reshape(-1, 2, 2)
-    return np.hypot(apart[..., 0], apart[..., 1]).max(axis=1)
+    found: Array = np.hypot(apart[..., 0], apart[..., 1]).max(axis=1)
+    return found
 
 
 def led_on(poses: Array, kept: Array) -> Array:

@@ -93,7 +93,8 @@ def stress(F: Array, modulus: ArrayLike, poisson: ArrayLike) -> Array:
     """First Piola-Kirchhoff stress (..., 3, 3) Pa of the logarithmic neo-Hookean solid."""
     mu, lam = (v[..., None, None] for v in lame(np.asarray(modulus), np.asarray(poisson)))
     log_j = np.log(np.linalg.det(F))[..., None, None]
-    return mu * F + (lam * log_j - mu) * np.swapaxes(np.linalg.inv(F), -1, -2)
+    found: Array = mu * F + (lam * log_j - mu) * np.swapaxes(np.linalg.inv(F), -1, -2)
+    return found
 
 
 def relax(solid: Assembly | FlapModel, u: Array, load: Array | float = 0.0) -> tuple[Array, Array]:

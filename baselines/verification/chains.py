@@ -63,11 +63,13 @@ class Swept:
 
     @property
     def energy(self) -> Array:
-        return self.W[chain.ENERGY]
+        found: Array = self.W[chain.ENERGY]
+        return found
 
     @property
     def pivots(self) -> Array:
-        return self.W[chain.PIVOTS]
+        found: Array = self.W[chain.PIVOTS]
+        return found
 
     @property
     def left(self) -> Array:
@@ -179,4 +181,5 @@ def differenced_tangent(chains: Chains, step: float = 1e-5) -> Array:
 def rates(errors: ArrayLike) -> Array:
     """Orders of convergence between errors, each of them with twice as many elements as the last."""
     errors = np.asarray(errors)
-    return np.log2(errors[:-1] / errors[1:])
+    found: Array = np.log2(errors[:-1] / errors[1:])
+    return found

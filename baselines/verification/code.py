@@ -51,7 +51,8 @@ def _block(poisson: float = POISSON) -> Body:
 
 def _face(body: Body, axis: int, high: bool) -> NDArray[np.bool_]:
     x = body.at[:, axis]
-    return np.abs(x - (x.max() if high else x.min())) < 1e-9
+    found: NDArray[np.bool_] = np.abs(x - (x.max() if high else x.min())) < 1e-9
+    return found
 
 
 def _held(body: Body, nodes: NDArray[np.bool_], *axes: int) -> NDArray[np.bool_]:

@@ -70,7 +70,8 @@ def manufactured_force(poisson: float) -> Callable[[Array], Array]:
         slope = np.zeros_like(X)
         slope[:, 1] = bend / J
         pushed = np.einsum("nji,nj->ni", np.linalg.inv(F), slope)
-        return -(mu * laplacian + (lam + mu - lam * np.log(J))[:, None] * pushed)
+        found: Array = -(mu * laplacian + (lam + mu - lam * np.log(J))[:, None] * pushed)
+        return found
 
     return force
 

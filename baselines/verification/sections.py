@@ -63,7 +63,8 @@ def split(section: SectionMesh, scene: Scene, jaw_x: float | None = None) -> Sec
     """Every triangle cut into four."""
     t = section.triangles
     corners = np.concatenate([t[:, k] for k in ([0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5])])
-    return section_of(section.points, corners.astype(np.int64), scene, jaw_x)
+    cut = section_of(section.points, corners.astype(np.int64), scene, jaw_x)
+    return replace(cut, vein=np.tile(section.vein, 4), smeared=section.smeared)
 
 
 def turned_over(section: SectionMesh, height: float) -> SectionMesh:

@@ -1,27 +1,39 @@
 """Solution verification: what a certificate states, on ever finer meshes, and the grid convergence index.
 
-The index is Roache's (1994), by the procedure of Celik et al. (J. Fluids Eng. 130, 2008): the observed order
-p comes from three meshes whose sizes differ by the factors r21 and r32; the error of the middle one, from
-which certificates come, is 1.25 e32 / (r32^p - 1).
+The index is Roache's (1994), by the procedure of Celik et al. (J. Fluids Eng. 130, 2008): values on three
+meshes, each half as large as the one before, give the observed order p, the limit that they tend to, and the
+error of the finest one, 1.25 times its distance from that limit. How far the mesh of certificates is off the
+limit stands beside it: it is another mesh.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
 from baselines.jobs.journal import Row
 from baselines.verification.flaps import HEIGHT, flap
-from planners.certify import certify
+from baselines.verification.sections import split
+from planners.certify import Retraction, certify
 from planners.eased import eased
 from planners.paths import circular, ctc
 from retract_env.grasp import Grasp, JawPath
-from retract_env.scene import LineOfSight, Scene, Vein, load_scene
+from retract_env.mesh import RESOLUTIONS, SectionMesh
+from retract_env.physics.fem import FemPhysics
+from retract_env.scene import Limits, LineOfSight, Scene, Vein, load_scene
 
-MESHES = ("medium", "fine", "finer")
+COARSEST = replace(RESOLUTIONS["fine"], name="half of fine", patch=4, edge=0.16, growth=0.6, bulk=1.2)
+"""A mesh whose elements are about twice as large as those of certificates."""
+SPLITS = (0, 1, 2)
+"""How often each of its triangles is cut into four."""
+CERTIFIED = -1
+"""In the place of a number of splits: the mesh of certificates."""
+RATIO = 2.0
+"""of the sizes of meshes that follow each other"""
 SAFETY = 1.25
 ORDERS = (0.5, 3.0)
 """Between which an observed order is believed; outside, the nearer of them is used."""
@@ -56,7 +68,7 @@ def _stiff_boxes() -> Scene:
 
 CASES: Mapping[str, Case] = {
     "homogeneous, CTC": Case(lambda: load_scene("homogeneous"), Grasp(-0.025, 0.0011), ctc),
-    "homogeneous, B near, CTC": Case(lambda: load_scene("homogeneous_near"), Grasp(-0.015, 0.0011), ctc),
+    "homogeneous, B near, CTC": Case(lambda: load_scene("homogeneous_near"), Grasp(-0.020, 0.0011), ctc),
     "homogeneous, B near, circular": Case(
         lambda: load_scene("homogeneous_near"), Grasp(-0.020, 0.0011), circular
     ),
@@ -64,85 +76,117 @@ CASES: Mapping[str, Case] = {
     "eased, light grip": Case(lambda: _seen_at(flap(), 0.35), Grasp(-0.030, 0.10 * HEIGHT), eased),
     "stiff rectangular veins at the grasp, CTC": Case(_stiff_boxes, Grasp(-0.030, 0.15 * HEIGHT), ctc),
     "20 mm deep, CTC": Case(lambda: flap(depth=0.020), Grasp(-0.025, 0.15 * HEIGHT), ctc),
-    "8 mm thick, no bed, CTC": Case(lambda: flap(height=0.008, bed=False), Grasp(-0.025, 0.0012), ctc),
+    "8 mm thick, no bed, CTC": Case(lambda: flap(height=0.008, bed=False), Grasp(-0.030, 0.0012), ctc),
 }
 """Eight, from firm to light, from homogeneous to stiff veins where the jaws are."""
 
 
-def freed(scene: Scene, clearance: float = 0.1) -> Scene:
-    """At limits that nothing here breaks, and a clearance that nothing reaches: paths are followed to their
-    end."""
-    limits = scene.limits.model_copy(update={"strain": 0.99, "friction": 5.0, "clearance": clearance})
-    return scene.model_copy(update={"limits": limits})
+WIDE = Limits(strain=0.99, friction=5.0, clearance=0.1)
+"""Limits that nothing here breaks, a clearance that nothing reaches: paths are followed to their end."""
 
 
-def until_seen(case: Case) -> tuple[Scene, JawPath]:
-    """The scene at wide limits, and the path up to the waypoint by which the target is in view on the
-    coarsest of the meshes."""
+class SplitMesh(FemPhysics):
+    """On COARSEST, its triangles cut into four so many times."""
+
+    def __init__(self, scene: Scene, jaw_x: float, splits: int):
+        self._splits = splits
+        super().__init__(scene, jaw_x, COARSEST)
+
+    def _meshed(self) -> SectionMesh:
+        section = super()._meshed()
+        for _ in range(self._splits):
+            section = split(section, self.scene, self.jaw_x)
+        return section
+
+
+class OnMesh(Retraction):
+    """A retraction on such a mesh, followed to the end of its path."""
+
+    def __init__(self, scene: Scene, grasp: Grasp, path: JawPath, splits: int):
+        super().__init__(scene, grasp, path, limits=WIDE)
+        self._splits = splits
+
+    def _physics(self) -> FemPhysics:
+        return SplitMesh(self.scene, self.grasp.x, self._splits)
+
+
+@cache
+def until_certified(name: str) -> tuple[Scene, JawPath]:
+    """The scene of a case, and the path up to where its certificate ends, in view.
+
+    Raises ValueError where it is not certified.
+    """
+    case = CASES[name]
     scene = case.scene()
     path = case.path(scene, case.grasp)
-    seen = certify(freed(scene, 0.0), case.grasp, path, MESHES[0])
-    last = min(math.ceil(seen.path["end"]), path.last)
-    return freed(scene), JawPath(path.waypoints[: last + 1], path.kind)
+    found = certify(scene, case.grasp, path)
+    if not found.certified:
+        raise ValueError(f"{name}: not certified, {found.reason}")
+    end = float(found.path["end"])
+    poses = [*path.poses[: math.floor(end) + 1], path.pose_at(end)]
+    return scene, JawPath.from_poses(np.array(poses), path.kind)
 
 
-def on_mesh(resolution: str, case: str, mesh: str) -> Row:  # noqa: ARG001  (of the study; here `mesh` counts)
-    """What the certificate of a case states on a mesh."""
-    scene, path = until_seen(CASES[case])
-    found = certify(scene, CASES[case].grasp, path, mesh)
+def on_mesh(resolution: str, case: str, splits: int) -> Row:  # noqa: ARG001  (of the study; here splits count)
+    """What is certified of a case, on a mesh; splits: one of SPLITS, or CERTIFIED."""
+    scene, path = until_certified(case)
+    grasp = CASES[case].grasp
+    retraction = Retraction(scene, grasp, path, limits=WIDE)
+    if splits != CERTIFIED:
+        retraction = OnMesh(scene, grasp, path, splits)
+    retraction.squeeze()
+    retraction.move()
+    assert retraction.physics is not None
     return {
-        "reason": found.reason,
-        "nodes": found.mesh["nodes"],
-        **{name: getattr(found, name) for name in QUANTITIES},
+        "reason": retraction.reason,
+        "unknowns": len(retraction.physics.model.free),
+        "max_strain": retraction.max_strain,
+        "required_friction": retraction.required_friction,
+        "clearance": retraction.clearance,
         "length": scene.tissue.length,
     }
 
 
 @dataclass(frozen=True)
 class Converged:
-    """What three meshes say of one quantity."""
+    """What meshes say of one quantity."""
 
     values: tuple[float, ...]
     """coarse to fine"""
     order: float
     """observed; nan where the values do not tend to one side"""
+    limit: float
+    """that the last two values tend to with that order, or with the nearest of ORDERS"""
     index: float
-    """of the middle mesh, relative to the scale"""
+    """of the finest mesh, relative to the scale"""
+    certified: float
+    """on the mesh of certificates"""
+    off: float
+    """of that from the limit, relative to the scale"""
 
 
-def convergence(values: Sequence[float], nodes: Sequence[int], scale: float) -> Converged:
-    """Observed order, and index of the middle one of three meshes, coarse to fine.
-
-    scale: what an error is compared with. Sizes go with the square root of the number of nodes: sections are
-    refined, the depth hardly is.
-    """
+def convergence(values: Sequence[float], certified: float, scale: float) -> Converged:
+    """From values on three meshes, coarse to fine, each RATIO times as fine as the one before; scale: what
+    errors are compared with."""
     coarse, middle, fine = values
-    r32, r21 = math.sqrt(nodes[1] / nodes[0]), math.sqrt(nodes[2] / nodes[1])
-    order = observed_order(coarse - middle, middle - fine, r32, r21)
+    shrunk = (coarse - middle) / (middle - fine) if middle != fine else math.nan
+    order = math.log(shrunk) / math.log(RATIO) if shrunk > 0 else math.nan
     used = float(np.clip(1.0 if math.isnan(order) else order, *ORDERS))
-    error = max(abs(coarse - middle) / (r32**used - 1), abs(middle - fine))
-    return Converged(tuple(values), order, SAFETY * error / scale)
+    beyond = (fine - middle) / (RATIO**used - 1)
+    limit = fine + beyond
+    off = (certified - limit) / scale
+    return Converged(tuple(values), order, limit, SAFETY * abs(beyond) / scale, certified, off)
 
 
-def observed_order(e32: float, e21: float, r32: float, r21: float) -> float:
-    """p with e32 / e21 = r21^p (r32^p - 1) / (r21^p - 1), by iteration; nan where the differences change sign
-    or do not shrink."""
-    if e21 == 0 or e32 / e21 <= 0:
-        return math.nan
-    p = 1.0
-    for _ in range(200):
-        shift = math.log((r21**p - 1) / (r32**p - 1))
-        last, p = p, abs(math.log(e32 / e21) + shift) / math.log(r21)
-        if abs(p - last) < 1e-10:
-            break
-        if not 1e-3 < p < 50:
-            return math.nan
-    return p
-
-
-def indices(by_mesh: Mapping[str, Row]) -> dict[str, Converged]:
-    """Of each quantity of a case; clearance is compared with the flap's length."""
-    rows = [by_mesh[mesh] for mesh in MESHES]
-    nodes, fine = [int(row["nodes"]) for row in rows], rows[MESHES.index("fine")]
-    scales = {**{name: float(fine[name]) for name in QUANTITIES}, "clearance": float(fine["length"])}
-    return {name: convergence([float(row[name]) for row in rows], nodes, scales[name]) for name in QUANTITIES}
+def converged(by_splits: Mapping[int, Row]) -> dict[str, Converged]:
+    """Each quantity of a case: strain relative, friction as it is, clearance over the flap's length."""
+    fine = by_splits[CERTIFIED]
+    scales = {
+        "max_strain": float(fine["max_strain"]),
+        "required_friction": 1.0,
+        "clearance": float(fine["length"]),
+    }
+    return {
+        name: convergence([float(by_splits[k][name]) for k in SPLITS], float(fine[name]), scales[name])
+        for name in QUANTITIES
+    }

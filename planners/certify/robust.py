@@ -78,7 +78,7 @@ def upper_bound(failures: int, samples: int, beta: float) -> float:
     if failures >= samples:
         return 1.0
     if failures == 0:
-        return 1.0 - beta ** (1.0 / samples)
+        return float(1.0 - beta ** (1.0 / samples))
     from scipy.special import betaincinv
 
     return float(betaincinv(failures + 1, samples - failures, 1.0 - beta))

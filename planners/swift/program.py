@@ -251,7 +251,8 @@ class Program:
 
         def slope(name: str) -> Array:
             values = np.stack([getattr(s, name) for s in beside], axis=-1)
-            return (values - getattr(at, name)[..., None]) / DIFFERENCE
+            found: Array = (values - getattr(at, name)[..., None]) / DIFFERENCE
+            return found
 
         strain, slip, clearance = (slope(n) for n in ("strain", "slip", "clearance"))
         ends, limit = self._end(at), self.scene.limits.strain

@@ -102,7 +102,8 @@ class SectionRenderer:
             )
         scenery = self._small[size]
         self._paint(scenery, state, self._bold_jaws)
-        return shrunk(scenery.canvas.image, FINER)
+        found: Bytes = shrunk(scenery.canvas.image, FINER)
+        return found
 
     def close(self) -> None:
         """Give back the memory that is drawn on; drawing again takes it anew."""

@@ -145,7 +145,8 @@ def draw_camera(canvas: Canvas, end: Array, away: Array, arrived: bool, unit: fl
     across = np.array([-away[1], away[0]])
 
     def placed(shape: list[tuple[float, float]]) -> Array:
-        return end + unit * (np.array(shape) @ np.stack((across, away)))
+        found: Array = end + unit * (np.array(shape) @ np.stack((across, away)))
+        return found
 
     arrow = placed([(0.0, 9.0), (5.0, -2.0), (-5.0, -2.0)])
     lens = placed([(-5.0, -3.0), (5.0, -3.0), (2.0, 3.0), (-2.0, 3.0)])

@@ -46,7 +46,8 @@ def with_corners(outline: Outline, corners: int) -> Outline:
 
 
 def _centroid(points: ArrayLike) -> Array:
-    return shapely.get_coordinates(shapely.centroid(shapely.polygons(np.asarray(points).tolist())))[0]
+    found: Array = shapely.get_coordinates(shapely.centroid(shapely.polygons(np.asarray(points).tolist())))[0]
+    return found
 
 
 def reaching(scene: Scene, low: float, high: float) -> set[int]:

@@ -19,7 +19,7 @@ from retract_env.fem.model import FlapModel
 from retract_env.fem.press import closing, equilibrate, pressing
 from retract_env.fem.solver import Equilibrium, Kept
 from retract_env.grasp import to_jaws, to_pose
-from retract_env.mesh import RESOLUTIONS, Resolution, patch_ends, section_mesh
+from retract_env.mesh import RESOLUTIONS, Resolution, SectionMesh, patch_ends, section_mesh
 from retract_env.mesh.outlines import fewer_corners, reaching
 from retract_env.physics.base import TissueState
 from retract_env.physics.measures import Measures
@@ -101,14 +101,7 @@ class FemPhysics:
         self._scene_hash = scene.hash
         self.seconds: defaultdict[str, float] = defaultdict(float)
         start = time.perf_counter()
-        height, (low, high) = scene.tissue.height, patch_ends(scene, jaw_x)
-        near, far = resolution.true_veins * height, resolution.followed * height
-        smeared = set(range(len(scene.tissue.veins))) - reaching(scene, low - far, high + far)
-        as_drawn = smeared | reaching(scene, jaw_x - near, jaw_x + near)
-        drawn = scene
-        if resolution.vein_corners is not None:
-            drawn = fewer_corners(scene, resolution.vein_corners, as_drawn)
-        self.section = section_mesh(drawn, jaw_x, resolution, smeared)
+        self.section = self._meshed()
         self.seconds["mesh"] = time.perf_counter() - start
         start = time.perf_counter()
         self.model = FlapModel(scene, self.section, jaw_x, resolution)
@@ -123,6 +116,18 @@ class FemPhysics:
         self._missed: tuple[float, Array] | None = None
         self._rest: tuple[Array, Array] | None = None
         self._begin()
+
+    def _meshed(self) -> SectionMesh:
+        """The section as the resolution asks for it. Raises MeshError."""
+        scene, resolution, height = self.scene, self.resolution, self.scene.tissue.height
+        low, high = patch_ends(scene, self.jaw_x)
+        near, far = resolution.true_veins * height, resolution.followed * height
+        smeared = set(range(len(scene.tissue.veins))) - reaching(scene, low - far, high + far)
+        as_drawn = smeared | reaching(scene, self.jaw_x - near, self.jaw_x + near)
+        drawn = scene
+        if resolution.vein_corners is not None:
+            drawn = fewer_corners(scene, resolution.vein_corners, as_drawn)
+        return section_mesh(drawn, self.jaw_x, resolution, smeared)
 
     def _begin(self) -> None:
         height = self.scene.tissue.height
@@ -343,7 +348,7 @@ class FemPhysics:
     def _way(self, pose: Array) -> float:
         """m, how far it is to a pose, turns counted at the flap's height."""
         x, y, turn, _ = pose - self._pose
-        return math.hypot(x, y) + self.scene.tissue.height * abs(turn)
+        return float(math.hypot(x, y) + self.scene.tissue.height * abs(turn))
 
     def _extrapolate(self, progress: float) -> Array:
         """Lagrange's polynomial through the last equilibria."""

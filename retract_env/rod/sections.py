@@ -60,11 +60,13 @@ def elements(tissue: Tissue, left: float, right: float, count: int) -> Elements:
     surfaces = [np.stack([stretch + s * couple, couple + s * bend], axis=-1) for s in (half, -half)]
 
     def mean(values: Array) -> Array:
-        return values.reshape(count, SLICES).mean(axis=1)
+        found: Array = values.reshape(count, SLICES).mean(axis=1)
+        return found
 
     def softest(surface: Array) -> Array:
         by_element = surface.reshape(count, SLICES, 2)
-        return by_element[np.arange(count), np.abs(by_element[:, :, 1]).argmax(axis=1)]
+        found: Array = by_element[np.arange(count), np.abs(by_element[:, :, 1]).argmax(axis=1)]
+        return found
 
     shear = 2 * (1 + tissue.poisson) / (SHEAR * area)
     bottom, top = (softest(surface) for surface in surfaces)

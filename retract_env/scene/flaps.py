@@ -112,14 +112,14 @@ def draw_flap(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _log_uniform(row: State, low: float, high: float) -> float:
-    return low * (high / low) ** random(row)
+    return float(low * (high / low) ** random(row))
 
 
 @njit(cache=True, nogil=True)
 def _is_left_of(outlines: Array, corners: Indices, i: int, j: int) -> bool:
     """Whether outline i has a vertex further left, of equals lower, than all of outline j."""
     a, b = _leftmost(outlines[i], corners[i]), _leftmost(outlines[j], corners[j])
-    return a < b
+    return bool(a < b)
 
 
 @njit(cache=True, nogil=True)
@@ -185,7 +185,8 @@ def _draw_oval(row: State, a: float, b: float, oval: Array) -> int:
     for k in range(n):
         x, y = oval[k, 0], oval[k, 1]
         oval[k, 0], oval[k, 1] = c * x - s * y, s * x + c * y
-    return n
+    found: int = n
+    return found
 
 
 @njit(cache=True, nogil=True)
@@ -212,7 +213,7 @@ def _rounded(value: float) -> float:
         error = (upper * _DIGITS - scaled) + (value - upper) * _DIGITS
         if error != 0.0:
             whole = math.floor(scaled) if error < 0.0 else math.ceil(scaled)
-    return whole / _DIGITS
+    return float(whole / _DIGITS)
 
 
 @njit(cache=True, nogil=True)
@@ -254,7 +255,7 @@ def _within_gap(p: Array, n: int, p_box: Array, q: Array, m: int, q_box: Array) 
                     return True
             cx, cy = dx, dy
     # No edges meet: one is inside the other, or they are apart.
-    return _is_inside(p[0, 0], p[0, 1], q, m, q_box) or _is_inside(q[0, 0], q[0, 1], p, n, p_box)
+    return bool(_is_inside(p[0, 0], p[0, 1], q, m, q_box) or _is_inside(q[0, 0], q[0, 1], p, n, p_box))
 
 
 @njit(cache=True, nogil=True)

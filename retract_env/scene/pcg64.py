@@ -78,7 +78,8 @@ def next_uint64(row: State) -> np.uint64:
         high += _1
     row[_HIGH], row[_LOW] = high, low
     mixed, turn = high ^ low, high >> _58
-    return (mixed >> turn) | (mixed << ((_64 - turn) & _63))
+    found: np.uint64 = (mixed >> turn) | (mixed << ((_64 - turn) & _63))
+    return found
 
 
 @njit(cache=True, nogil=True)
@@ -86,10 +87,12 @@ def next_uint32(row: State) -> np.uint64:
     """Below 2^32. Two come from one draw of 64 bits, the lower half first."""
     if row[_HAS_HALF]:
         row[_HAS_HALF] = _0
-        return row[_HALF]
+        found: np.uint64 = row[_HALF]
+        return found
     both = next_uint64(row)
     row[_HAS_HALF], row[_HALF] = _1, both >> _32
-    return both & _LOWER_HALF
+    lower: np.uint64 = both & _LOWER_HALF
+    return lower
 
 
 @njit(cache=True, nogil=True)
@@ -101,7 +104,7 @@ def random(row: State) -> float:
 @njit(cache=True, nogil=True)
 def uniform(row: State, low: float, high: float) -> float:
     """The next number, uniform in [low, high)."""
-    return low + (high - low) * random(row)
+    return float(low + (high - low) * random(row))
 
 
 @njit(cache=True, nogil=True)

@@ -59,7 +59,7 @@ def standard_normal(row: State) -> float:
         if (drawn >> _8) & _1:
             x = -x
         if steps < _WITHIN[layer]:
-            return x
+            return float(x)
         if layer == 0:
             while True:
                 beyond = -_INVERSE_END * math.log1p(-random(row))
@@ -68,4 +68,4 @@ def standard_normal(row: State) -> float:
                     return -(_END + beyond) if (steps >> _8) & _1 else _END + beyond
         height = (_DENSITY[layer - 1] - _DENSITY[layer]) * random(row) + _DENSITY[layer]
         if height < math.exp(-0.5 * x * x):
-            return x
+            return float(x)

@@ -77,7 +77,8 @@ def from_grasp(grasp: Grasp, scene: Scene, config: TaskConfig = DEFAULT) -> Arra
 def moved(action: ArrayLike, pose: ArrayLike, config: TaskConfig = DEFAULT) -> Array:
     """Pose (4,) x, y, theta, separation that a move leads to. The separation stays; it is nominal where the
     jaws hold by force. Raises as `checked`."""
-    return np.asarray(pose, np.float64) + np.append(checked(action) * config.move, 0.0)
+    found: Array = np.asarray(pose, np.float64) + np.append(checked(action) * config.move, 0.0)
+    return found
 
 
 def move_towards(target: ArrayLike, pose: ArrayLike, config: TaskConfig = DEFAULT) -> Array:

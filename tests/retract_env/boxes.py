@@ -35,7 +35,8 @@ def hex27() -> Shape:
     d = np.stack([s - 0.5, -2 * s, s + 0.5], axis=1)
 
     def tensor(x: Array, y: Array, z: Array) -> Array:
-        return np.einsum("pa,qb,rc->pqrabc", x, y, z).reshape(27, 27)
+        found: Array = np.einsum("pa,qb,rc->pqrabc", x, y, z).reshape(27, 27)
+        return found
 
     slope = np.stack([tensor(d, n, n), tensor(n, d, n), tensor(n, n, d)], axis=1)
     return Shape(tensor(n, n, n), slope, np.einsum("p,q,r->pqr", w, w, w).ravel())

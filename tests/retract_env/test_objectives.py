@@ -108,7 +108,8 @@ def test_worst_mean_of_a_known_case() -> None:
 
 def turned(vectors: Array, angle: float) -> Array:
     c, s = math.cos(angle), math.sin(angle)
-    return vectors @ np.array([[c, s], [-s, c]])
+    found: Array = vectors @ np.array([[c, s], [-s, c]])
+    return found
 
 
 @given(st.floats(0, 3), st.floats(-math.pi, math.pi), st.floats(1e-6, 1e3), st.booleans())

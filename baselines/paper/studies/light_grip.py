@@ -125,7 +125,8 @@ def _report(rows: Sequence[Row]) -> Report:
 def _claims(scene: str, positions: Sequence[float], maps: dict[tuple[str, str], Array]) -> list[Claim]:
     def least(path: str, grip: str) -> Array:
         values = maps[path, grip]
-        return np.min(np.where(np.isnan(values), np.inf, values), axis=1)
+        found: Array = np.min(np.where(np.isnan(values), np.inf, values), axis=1)
+        return found
 
     before, after = least("ctc", "eq5"), least("ctc", "light")
     circular = least("circular", "light")

@@ -95,7 +95,8 @@ def _around(triangles: Ints) -> Ints:
     """(e, 3) edges, corner, middle, corner, that belong to one triangle alone."""
     edges = triangles[:, _EDGES].reshape(-1, 3)
     _, first, times = np.unique(edges[:, 1], return_index=True, return_counts=True)
-    return edges[np.sort(first[times == 1])]
+    found: Ints = edges[np.sort(first[times == 1])]
+    return found
 
 
 def _pairs(edges: Ints) -> Ints:

@@ -190,7 +190,8 @@ def _faces(cells: Ints, points: Array, on: NDArray[np.bool_]) -> Ints:
     a, b = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
     turned = a[:, 0] * b[:, 1] < a[:, 1] * b[:, 0]
     faces[turned] = faces[turned][:, ::-1]
-    return faces
+    found: Ints = faces
+    return found
 
 
 def _share(corners: Array, centres: Array, column: Ints) -> csr_matrix:

@@ -133,7 +133,8 @@ class World:
         """(n, 3) m."""
         b = self._bullet
         data = b.getMeshData(self._flap, -1, flags=b.MESH_DATA_SIMULATION_MESH, **self._at)
-        return np.array(data[1]) - self._lift
+        found: Array = np.array(data[1]) - self._lift
+        return found
 
     def place(self, points: Array) -> None:
         """Put the nodes at points (n, 3) m, their velocities as they are."""

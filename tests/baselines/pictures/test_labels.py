@@ -43,7 +43,7 @@ def box(axes: Axes, drawn: Annotation) -> np.ndarray:
 
 def share(one: np.ndarray, other: np.ndarray) -> float:
     boxes = [(*b.mean(axis=0), *np.ptp(b, axis=0)) for b in (one, other)]
-    return overlap(*boxes) / min(b[2] * b[3] for b in boxes)
+    return float(overlap(*boxes) / min(b[2] * b[3] for b in boxes))
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -30,7 +30,8 @@ def ink(canvas: Canvas) -> float:
 
 def turned(points: Array, angle: float, centre: tuple[float, float]) -> Array:
     c, s = math.cos(angle), math.sin(angle)
-    return points @ np.array([[c, s], [-s, c]]) + centre
+    found: Array = points @ np.array([[c, s], [-s, c]]) + centre
+    return found
 
 
 @settings(deadline=None, max_examples=30)

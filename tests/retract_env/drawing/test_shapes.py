@@ -63,7 +63,8 @@ def test_veins_are_drawn_as_the_scene_has_them_whatever_the_mesh_makes_of_them(r
     rings = [np.array([*vein.outline, vein.outline[0]]) for vein in veins]
 
     def pieces(nodes: Array) -> Array:
-        return np.linalg.norm(np.diff(topology.vein_lines(nodes), axis=0), axis=1)
+        found: Array = np.linalg.norm(np.diff(topology.vein_lines(nodes), axis=0), axis=1)
+        return found
 
     around = sum(np.linalg.norm(np.diff(ring, axis=0), axis=1).sum() for ring in rings)
     assert np.nansum(pieces(points)) == pytest.approx(around, rel=1e-9)

@@ -198,7 +198,8 @@ def interior(body: Body) -> NDArray[np.bool_]:
 
 def virial(body: Body, force: Array) -> Array:
     """(3, 3) N m, sum of f_i x_j over nodes: mean stress times volume."""
-    return np.einsum("ni,nj->ij", body.vectors(force), body.at)
+    found: Array = np.einsum("ni,nj->ij", body.vectors(force), body.at)
+    return found
 
 
 @pytest.mark.parametrize("name", DEFORMATIONS)

@@ -50,7 +50,8 @@ def case(request: pytest.FixtureRequest) -> tuple[Body, float]:
 def face(body: Body, axis: int, high: bool) -> NDArray[np.bool_]:
     """Nodes (n,) of one side of the box."""
     x = body.at[:, axis]
-    return np.abs(x - (x.max() if high else x.min())) < 1e-9
+    found: NDArray[np.bool_] = np.abs(x - (x.max() if high else x.min())) < 1e-9
+    return found
 
 
 def held(body: Body, nodes: NDArray[np.bool_], *axes: int) -> NDArray[np.bool_]:
@@ -62,7 +63,8 @@ def held(body: Body, nodes: NDArray[np.bool_], *axes: int) -> NDArray[np.bool_]:
 
 
 def resultant(body: Body, force: Array, nodes: NDArray[np.bool_]) -> Array:
-    return body.vectors(force)[nodes].sum(axis=0)
+    found: Array = body.vectors(force)[nodes].sum(axis=0)
+    return found
 
 
 Case = tuple[Body, float]
@@ -78,7 +80,7 @@ def test_uniaxial_stretch(case: Case, stretch: float) -> None:
     mu, lam = (float(v) for v in lame(np.array(MODULUS), np.array(poisson)))
 
     def lateral_stress(t: float) -> float:
-        return mu * (t * t - 1) + lam * np.log(stretch * t * t)
+        return float(mu * (t * t - 1) + lam * np.log(stretch * t * t))
 
     t = brentq(lateral_stress, 0.3, 3.0, xtol=1e-15)
     ends = face(body, 0, False) | face(body, 0, True)

@@ -81,7 +81,8 @@ def materials(block: ElementBlock) -> tuple[Array, Array]:
 
 def observed_order(errors: list[float]) -> Array:
     """Orders of errors at steps that halve."""
-    return np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
+    found: Array = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
+    return found
 
 
 # --- The law

@@ -47,7 +47,8 @@ def test_volumes_in_which_strain_is_measured_do_not_change() -> None:
 
 def stiffness(vein: Vein, corners: Array) -> Array:
     points, _ = TRIANGLE_RULES[3]
-    return relative_stiffness(corners[None], points, np.array([MODULUS]), [vein])[0]
+    found: Array = relative_stiffness(corners[None], points, np.array([MODULUS]), [vein])[0]
+    return found
 
 
 def test_the_mean_is_of_compliances() -> None:

@@ -57,12 +57,14 @@ def between(start: Array, end: Array, steps: int) -> Array:
 
 
 def nudged(shift: float, turn: float = 0.0) -> Array:
-    return BENT + np.array([shift, shift, turn, 0])
+    found: Array = BENT + np.array([shift, shift, turn, 0])
+    return found
 
 
 def bent(model: FlapModel) -> Array:
     poses = np.concatenate([between(REST, SQUEEZED, 3), between(SQUEEZED, BENT, 8)])
-    return follow(Equilibrium(model), poses, model.at_rest())[0][-1]
+    found: Array = follow(Equilibrium(model), poses, model.at_rest())[0][-1]
+    return found
 
 
 @pytest.fixture(scope="module")

@@ -52,7 +52,8 @@ def retracted(physics: Any, path: JawPath, last: int = 40) -> list[TissueState]:
 
 
 def under_both(test: Callable[..., None]) -> Callable[..., None]:
-    return pytest.mark.parametrize("kind", [FemPhysics, RodPhysics])(test)
+    found: Callable[..., None] = pytest.mark.parametrize("kind", [FemPhysics, RodPhysics])(test)
+    return found
 
 
 # --- What a grip by force is

@@ -282,7 +282,8 @@ def test_two_flaps_do_not_disturb_each_other(make: Make) -> None:
 
 def _pose(state: TissueState) -> Array:
     index = int(state.progress) - 1
-    return squeezed(0.25) + index * np.array([2e-4, 1.5e-3, -0.1, 0.0])
+    found: Array = squeezed(0.25) + index * np.array([2e-4, 1.5e-3, -0.1, 0.0])
+    return found
 
 
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory is read from /proc")

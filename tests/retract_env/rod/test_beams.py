@@ -30,7 +30,8 @@ REFINED = (4, 8, 16, 32)
 
 def tips(chains: Chains) -> Array:
     """(3, LANES) how the free end has moved."""
-    return chains.nodes[0] - np.array([-LENGTH, 0.5, 0])[:, None]
+    found: Array = chains.nodes[0] - np.array([-LENGTH, 0.5, 0])[:, None]
+    return found
 
 
 def test_the_tip_tends_to_the_elastica_s_in_second_order() -> None:
