@@ -80,9 +80,9 @@ BUGS: Mapping[str, Bug] = {
         TASK,
     ),
     "friction from the first jaw in the certifier": Bug(
-        "planners/certify/retraction.py",
-        "return float(state.required_friction.max()) if",
-        "return float(state.required_friction[0]) if",
+        "retract_env/physics/base.py",
+        "return float(self.required_friction.max()) if",
+        "return float(self.required_friction[0]) if",
         TASK,
     ),
     "compression not counted as strain": Bug(

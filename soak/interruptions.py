@@ -64,7 +64,8 @@ COMMANDS: Mapping[str, Command] = {
         (
             *("demos", "--dataset", "soak/it-v0", "--planner", "circular", "--count", "2", *COARSE),
             *("--jobs", "1", "--journal", "{out}/demos.jsonl"),
-        )
+        ),
+        timing=("data",),
     ),
     "train": Command(
         ("train", "ppo", "--steps", "8192", "--envs", "32", "--out", "{out}/run"), ("--resume",), ("run",)
@@ -89,21 +90,21 @@ def stopped(task: WorkItem) -> Row:
         before = Path(parent) / "before"
         plan = COMMANDS["plan"].arguments
         if any("{before}" in argument for argument in command.arguments):
-            _run(_filled(plan, before, before), Path(parent))
+            _run(_filled(plan, before, before), before)
         whole, cut = Path(parent) / "whole", Path(parent) / "cut"
         start = time.monotonic()
-        code, errors = _run(_filled(command.arguments, whole, before), Path(parent))
+        code, errors = _run(_filled(command.arguments, whole, before), whole)
         took = time.monotonic() - start
         if code != 0:
             return _wrong(f"undisturbed it ends with {code}: {errors}")
         after = float(rng.uniform(0.05, 0.95)) * took
         arguments = _filled(command.arguments, cut, before)
-        code, errors = _run(arguments, Path(parent), task["end"], after)
+        code, errors = _run(arguments, cut, task["end"], after)
         row = {"after": after / took, "exit": code}
         if fault := _said(task["end"], code, errors) or _half_written(cut):
             return _wrong(fault) | row
         again = arguments + (list(command.again) if (cut / "run" / "recipe.json").exists() else [])
-        code, errors = _run(again, Path(parent))
+        code, errors = _run(again, cut)
         if code != 0:
             return _wrong(f"run again it ends with {code}: {errors}") | row
         if different := _different(whole, cut, command.timing):
@@ -119,9 +120,9 @@ def _filled(arguments: tuple[str, ...], out: Path, before: Path) -> list[str]:
     return [argument.format(out=out, before=before) for argument in arguments]
 
 
-def _run(arguments: list[str], home: Path, end: str = "", after: float = LONGEST) -> tuple[int, str]:
-    """Exit code and what was said on standard error; data sets are kept under `home`."""
-    environment = os.environ | {"MINARI_DATASETS_PATH": str(home / "minari")}
+def _run(arguments: list[str], out: Path, end: str = "", after: float = LONGEST) -> tuple[int, str]:
+    """Exit code and what was said on standard error; data sets are kept in the folder too."""
+    environment = os.environ | {"MINARI_DATASETS_PATH": str(out / "data")}
     process = subprocess.Popen(
         [*RETRACT, *arguments],
         env=environment,

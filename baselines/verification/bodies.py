@@ -36,6 +36,7 @@ class Body:
 
     @property
     def mirrored(self) -> bool:
+        """Whether it is half a body, the other half its image."""
         return len(self.dofs[2]) < len(self.at)
 
     @cached_property

@@ -63,11 +63,13 @@ class Swept:
 
     @property
     def energy(self) -> Array:
+        """(LANES,) of the chains."""
         found: Array = self.W[chain.ENERGY]
         return found
 
     @property
     def pivots(self) -> Array:
+        """(LANES,) how many had to be turned positive."""
         found: Array = self.W[chain.PIVOTS]
         return found
 
@@ -78,6 +80,7 @@ class Swept:
 
     @property
     def right(self) -> Array:
+        """(3, LANES) what holds the right end."""
         return self.W[chain.RIGHT : chain.RIGHT + 3]
 
 
@@ -105,6 +108,7 @@ def straight(
 
 
 def swept(chains: Chains) -> Swept:
+    """One sweep over the chains where they are."""
     W = np.zeros(chain.SCRATCH * LANES)
     Z = np.zeros(chain.factor_rows(chains.elements) * LANES)
     chain.sweep(chains.P.ravel(), chains.U.ravel(), W, Z, chains.elements, chains.clamped)

@@ -43,5 +43,6 @@ def flap(
 
 
 def square_vein(x: float, y: float, half: float, modulus: float = 200e3, poisson: float = 0.45) -> Vein:
+    """A vein around (x, y), m, that reaches `half` to each side."""
     corners = [(x - half, y - half), (x + half, y - half), (x + half, y + half), (x - half, y + half)]
     return Vein(outline=tuple(corners), modulus=modulus, poisson=poisson)

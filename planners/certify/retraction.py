@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -21,7 +20,6 @@ from planners.certify.peaks import PEELED, doubtful
 from retract_env.errors import Diverged
 from retract_env.grasp import Grasp, JawPath
 from retract_env.mesh import RESOLUTIONS, patch_ends
-from retract_env.objectives import verdict
 from retract_env.physics.base import TissueState
 from retract_env.physics.fem import FemPhysics, FemState
 from retract_env.scene import Limits, Scene
@@ -164,8 +162,14 @@ class Retraction:
 
     def _physics(self) -> FemPhysics:
         """A motion that cannot be made whole ends where it breaks a limit on the way."""
-        stop_when = partial(_broken, self.limits)
-        return FemPhysics(self.scene, self.grasp.x, self.resolution, stop_when, self.grasp.force)
+        limits = self.limits
+        return FemPhysics(
+            self.scene,
+            self.grasp.x,
+            self.resolution,
+            lambda state: state.verdict(limits) not in (None, "ok"),
+            self.grasp.force,
+        )
 
     def move(
         self, bound: Callable[[], float] = lambda: math.inf, on_increment: Callable[[], None] = lambda: None
@@ -225,7 +229,7 @@ class Retraction:
         except Diverged:
             return "diverged"
         self._put(len(self.frames), state, self.physics.displacements)
-        return self._verdict(state)
+        return state.verdict(self.limits)
 
     def _put(self, place: int, state: TissueState, shape: NDArray[np.float64]) -> None:
         self.frames.insert(place, state)
@@ -234,8 +238,7 @@ class Retraction:
 
     def _measure(self, state: TissueState) -> None:
         self.max_strain = max(self.max_strain, state.worst_strain)
-        if state.progress >= 1:  # security is asked of closed jaws
-            self.required_friction = max(self.required_friction, float(state.required_friction.max()))
+        self.required_friction = max(self.required_friction, state.asked_friction)
 
     def _cut(self, count: int) -> None:
         """Forget all but the first `count` frames."""
@@ -244,15 +247,12 @@ class Retraction:
         for state in self.frames:
             self._measure(state)
 
-    def _verdict(self, state: TissueState) -> str | None:
-        return _verdict(self.limits, state)
-
     def _events(self, state: TissueState) -> int:
         """How many things have happened in a state, any of which ends a retraction."""
         limits = self.limits
         return (
             (state.worst_strain > limits.strain)
-            + (_friction(state) > limits.friction)
+            + (state.asked_friction > limits.friction)
             + state.overlap
             + (state.clearance >= limits.clearance)
         )
@@ -270,7 +270,7 @@ class Retraction:
             if self._events(state):
                 self._cut(place)
             self._put(place, state, shape)
-        found = self._verdict(self.frames[-1])
+        found = self.frames[-1].verdict(self.limits)
         return self._time_visibility() if found == "ok" else found
 
     def _between(self, place: int) -> tuple[TissueState, NDArray[np.float64]]:
@@ -340,7 +340,7 @@ class Retraction:
                 return "diverged"
             self._put(place, state, shape)
             on_increment()
-            if self._verdict(state) is not None:
+            if state.verdict(self.limits) is not None:
                 self._cut(place + 1)
                 self.physics.resume(self.path.pose_at(state.progress), state.progress, shape)
                 found = str(self._first())
@@ -382,27 +382,6 @@ class Retraction:
         section = self.physics.section
         low = state.points[section.bottom, 1] < 0
         return float(section.bottom_length[low].sum()) / self.scene.tissue.length
-
-
-def _friction(state: TissueState) -> float:
-    """Security is asked of closed jaws."""
-    return float(state.required_friction.max()) if state.progress >= 1 else 0.0
-
-
-def _verdict(limits: Limits, state: TissueState) -> str | None:
-    return verdict(
-        state.worst_strain,
-        _friction(state),
-        state.clearance,
-        limits.strain,
-        limits.friction,
-        limits.clearance,
-        state.overlap,
-    )
-
-
-def _broken(limits: Limits, state: TissueState) -> bool:
-    return _verdict(limits, state) not in (None, "ok")
 
 
 def _known_to(greatest: float, tolerance: float, limit: float) -> float:

@@ -13,6 +13,9 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike, NDArray
 
+from retract_env.mesh.jaws import patch_ends
+from retract_env.mesh.resolutions import Resolution
+from retract_env.mesh.section import SectionMesh, section_mesh
 from retract_env.scene import Scene
 from retract_env.scene.veins import MIN_GAP, Outline
 
@@ -80,3 +83,18 @@ def fewer_corners(scene: Scene, corners: int, kept: Collection[int] = ()) -> Sce
             veins[i] = vein.model_copy(update={"outline": outline})
     # what was checked above need not be checked again
     return scene.model_copy(update={"tissue": scene.tissue.model_copy(update={"veins": tuple(veins)})})
+
+
+def resolved_section(scene: Scene, jaw_x: float, resolution: Resolution) -> SectionMesh:
+    """The section with jaws at jaw_x, m, its veins as exact there and elsewhere as the resolution asks.
+
+    Raises MeshError, and ValueError as `patch_ends`.
+    """
+    height, (low, high) = scene.tissue.height, patch_ends(scene, jaw_x)
+    near, far = resolution.true_veins * height, resolution.followed * height
+    smeared = set(range(len(scene.tissue.veins))) - reaching(scene, low - far, high + far)
+    drawn = scene
+    if resolution.vein_corners is not None:
+        as_drawn = smeared | reaching(scene, jaw_x - near, jaw_x + near)
+        drawn = fewer_corners(scene, resolution.vein_corners, as_drawn)
+    return section_mesh(drawn, jaw_x, resolution, smeared)

@@ -8,8 +8,11 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from retract_env.objectives import Verdict, verdict
+
 if TYPE_CHECKING:
     from retract_env.mesh import SectionMesh
+    from retract_env.scene import Limits
 
 Array = NDArray[np.float64]
 
@@ -46,6 +49,23 @@ class TissueState:
     overlap: bool = False
     """Whether that is more than a jaw's sharp edge explains, or tissue lies inside the block that holds the
     fixed end."""
+
+    @property
+    def asked_friction(self) -> float:
+        """What the jaw needs that needs more; 0 while they close: security is asked of closed jaws."""
+        return float(self.required_friction.max()) if self.progress >= 1 else 0.0
+
+    def verdict(self, limits: Limits) -> Verdict | None:
+        """What has become of a retraction in this state; see `objectives.verdict`."""
+        return verdict(
+            self.worst_strain,
+            self.asked_friction,
+            self.clearance,
+            limits.strain,
+            limits.friction,
+            limits.clearance,
+            self.overlap,
+        )
 
 
 class Physics(Protocol):

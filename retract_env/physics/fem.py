@@ -17,10 +17,11 @@ from retract_env.errors import Diverged
 from retract_env.fem.beam import BeamGuess
 from retract_env.fem.model import FlapModel
 from retract_env.fem.press import closing, equilibrate, pressing
+from retract_env.fem.rest import come_to_rest
 from retract_env.fem.solver import Equilibrium, Kept
 from retract_env.grasp import to_jaws, to_pose
-from retract_env.mesh import RESOLUTIONS, Resolution, SectionMesh, patch_ends, section_mesh
-from retract_env.mesh.outlines import fewer_corners, reaching
+from retract_env.mesh import RESOLUTIONS, Resolution, SectionMesh
+from retract_env.mesh.outlines import resolved_section
 from retract_env.physics.base import TissueState
 from retract_env.physics.measures import Measures
 from retract_env.scene import Scene
@@ -29,8 +30,6 @@ Array = NDArray[np.float64]
 
 SMALLEST_CUT = 1 / 64
 """Part of a step below which it is not cut any further."""
-SMALLEST_PART = 1 / 4096
-"""Likewise of the weight, under which the softest tissue tears a hundredfold."""
 FIRST_PART = 0.3
 """Part of a step that is tried first after a corner of the path."""
 MOST_ITERATIONS, MOST_WORK = 400, 4_000_000
@@ -114,20 +113,11 @@ class FemPhysics:
         self._stop_when = stop_when
         self._history: list[tuple[float, Array]] = []
         self._missed: tuple[float, Array] | None = None
-        self._rest: tuple[Array, Array] | None = None
+        self._rest: tuple[Array, Array, float] | None = None
         self._begin()
 
     def _meshed(self) -> SectionMesh:
-        """The section as the resolution asks for it. Raises MeshError."""
-        scene, resolution, height = self.scene, self.resolution, self.scene.tissue.height
-        low, high = patch_ends(scene, self.jaw_x)
-        near, far = resolution.true_veins * height, resolution.followed * height
-        smeared = set(range(len(scene.tissue.veins))) - reaching(scene, low - far, high + far)
-        as_drawn = smeared | reaching(scene, self.jaw_x - near, self.jaw_x + near)
-        drawn = scene
-        if resolution.vein_corners is not None:
-            drawn = fewer_corners(scene, resolution.vein_corners, as_drawn)
-        return section_mesh(drawn, self.jaw_x, resolution, smeared)
+        return resolved_section(self.scene, self.jaw_x, self.resolution)
 
     def _begin(self) -> None:
         height = self.scene.tissue.height
@@ -145,44 +135,17 @@ class FemPhysics:
         """
         self._begin()
         self.equilibrium.counts.clear()
-        start = time.perf_counter()
-        try:
-            if self._rest is None:
-                self.equilibrium.forget()
-                self._rest = self._at_rest()
-        finally:
+        if self._rest is None:
+            start = time.perf_counter()
+            self.equilibrium.forget()
+            self._rest = come_to_rest(self.equilibrium, self._most_iterations())
             self.seconds["equilibrium"] += time.perf_counter() - start
         self.equilibrium.forget()
-        self._u, self._force = self._rest
+        self._u, self._force, borne = self._rest
+        if borne < 1.0:
+            raise Diverged(f"no equilibrium was found under more than {borne:.3g} of the flap's weight")
         self._history.append((0.0, self._u))
         return self.state()
-
-    def _at_rest(self) -> tuple[Array, Array]:
-        """Displacements and forces (n,) under the weight, which comes on part by part where the first guess
-        leads nowhere. Raises Diverged."""
-        try:
-            return self.equilibrium.solve(self._u)
-        except Diverged:
-            pass
-        last = self.equilibrium.counts["iterations"] + self._most_iterations()
-        self._u, done, part = np.zeros_like(self._u), 0.0, FIRST_PART
-        try:
-            while done < 1.0:
-                share = min(done + part, 1.0)
-                self.model.weigh(share)
-                try:
-                    self._u, self._force = self.equilibrium.solve(self._u)
-                except Diverged:
-                    part /= 2
-                    if part < SMALLEST_PART or self.equilibrium.counts["iterations"] > last:
-                        raise
-                    self.equilibrium.forget()
-                else:
-                    done = share
-                    part *= 2
-        finally:
-            self.model.weigh(1.0)
-        return self._u, self._force
 
     def _most_iterations(self) -> int:
         """In one move."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import builtins
 import json
 import os
 import re
@@ -51,6 +52,20 @@ assert not {"numba", "scipy", "matplotlib", "planners", "retract_env.scene"} & s
         "--format",
     ):
         assert option in done.stdout
+
+
+def test_ctrl_c_while_the_console_is_still_being_imported_is_one_word(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(name: str, *rest: object, **more: object) -> object:
+        if name == "baselines.cli.app":
+            raise KeyboardInterrupt
+        return found(name, *rest, **more)  # type: ignore[arg-type]
+
+    found = builtins.__import__
+    monkeypatch.setattr(builtins, "__import__", interrupted)
+    assert main(["--version"]) == 130
+    assert capsys.readouterr().err == "interrupted\n"
 
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:

@@ -7,7 +7,6 @@ import math
 from itertools import product
 from typing import Any
 
-import numpy as np
 import pytest
 
 from baselines.paper.studies import study
@@ -32,7 +31,7 @@ TESTED_ELSEWHERE = ("manufactured", "cantilever")
 """in tests/retract_env/fem/test_convergence.py"""
 
 
-@pytest.mark.parametrize(("order", "limit"), product([0.7, 1.0, 2.0, 2.9], [0.3, -2.0]))
+@pytest.mark.parametrize(("order", "limit"), list(product([0.7, 1.0, 2.0, 2.9], [0.3, -2.0])))
 def test_what_converges_at_an_order_is_found_to(order: float, limit: float) -> None:
     values = [limit + 0.05 * (RATIO**-k) ** order for k in SPLITS]
     found = convergence(values, limit + 0.01, scale=2.0)
@@ -55,7 +54,8 @@ def test_split_meshes_cover_the_same_flap_with_the_same_veins() -> None:
     assert len(fine.section.triangles) == 4 * len(coarse.section.triangles)
     for physics in (coarse, fine):
         area = physics.section.corners
-        double = np.cross(area[:, 1] - area[:, 0], area[:, 2] - area[:, 0])
+        (ax, ay), (bx, by) = (area[:, 1] - area[:, 0]).T, (area[:, 2] - area[:, 0]).T
+        double = ax * by - ay * bx
         assert double.sum() / 2 == pytest.approx(0.02 * HEIGHT)
         assert double[physics.section.vein == 0].sum() / 2 == pytest.approx(0.0016**2)
     for a, b in zip(coarse.section.patches, fine.section.patches, strict=True):
@@ -107,7 +107,7 @@ def test_the_page_says_what_is_within_its_tolerance(off: float, agrees: str) -> 
     asked = study("verification")
     report = asked.report(rows(off))
     strain = next(claim for claim in report.claims if claim.said.startswith("eps_max"))
-    assert strain.agrees == agrees and f"{100 * off:.2g} %" in strain.found
+    assert strain.agrees == agrees and f"{100 * off / (1 + off):.2g} %" in strain.found
     text = page(asked, report, "fine")
     assert "## Code" in text and "## Solution" in text and "## Model" in text and "nan" not in text
     assert {line["holds"] for line in report.table if line["group"] == "code"} == {"yes"}
