@@ -44,7 +44,9 @@ def test_what_converges_at_an_order_is_found_to(order: float, limit: float) -> N
 def test_what_does_not_tend_to_one_side_has_no_order_and_an_honest_index() -> None:
     found = convergence([1.0, 1.2, 1.1], 1.1, scale=1.0)
     assert math.isnan(found.order)
-    assert found.index == pytest.approx(SAFETY * 0.1)  # as of order 1: as much again as the last change
+    assert found.limit == 1.1 and found.index == pytest.approx(SAFETY * 0.2)
+    slow = convergence([1.0, 1.1, 1.19], 1.1, scale=1.0)  # of order .15
+    assert slow.limit == 1.19 and slow.index == pytest.approx(SAFETY * 0.19)
     assert convergence([1.0, 1.0, 1.0], 1.0, scale=1.0).index == 0
 
 
