@@ -201,9 +201,9 @@ def _solution_text(cases: dict[str, dict[str, Converged]]) -> str:
     note = (
         "Order: as observed, none where the values do not tend to one side. Where it is below .5 they have "
         "no limit that could be told: the finest value stands for it, and the range of all three for its "
-        "error. Index: the grid convergence index of the finest mesh, whose elements at a jaw's edges are 1/17 "
-        "of the jaw. Finer ones, from about 1/30 on, let the surface under a firm grip fold at those edges, "
-        "which are sharp here: several equilibria then exist."
+        "error. Index: the grid convergence index of the finest mesh, whose elements at a jaw's edges are "
+        "1/17 of the jaw. Finer ones, from about 1/30 on, let the surface under a firm grip fold at those "
+        "edges, which are sharp here: several equilibria then exist."
     )
     return "\n".join([*lines, "", note])
 
