@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import re
+from itertools import dropwhile, takewhile
 from pathlib import Path
 from typing import Any
 
@@ -156,8 +157,9 @@ def test_the_environments_page_follows_gymnasiums_template() -> None:
 
 def table(text: str, heading: str) -> dict[str, dict[str, str]]:
     """The rows of the first table under a heading, by their first cell, each by column."""
-    section = text.partition(f"## {heading}")[2].partition("\n## ")[0]
-    lines = [line for line in section.splitlines() if line.startswith("|")]
+    section = text.partition(f"## {heading}")[2].partition("\n## ")[0].splitlines()
+    begins = dropwhile(lambda line: not line.startswith("|"), section)
+    lines = takewhile(lambda line: line.startswith("|"), begins)
     cells = [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines]
     head, _, *body = cells
     return {row[0]: dict(zip(head, row, strict=True)) for row in body}
