@@ -23,8 +23,7 @@ from planners.paths import ctc
 from planners.search import PRUNING, generate_and_test
 from retract_env.errors import MeshError
 from retract_env.grasp import Grasp, JawPath
-from retract_env.mesh import Resolution, SectionMesh, section_mesh
-from retract_env.physics import fem
+from retract_env.mesh import Resolution, SectionMesh, outlines, section_mesh
 from retract_env.physics.fem import FemPhysics
 from retract_env.scene import Scene
 from retract_env.spring import SpringModel
@@ -67,7 +66,7 @@ def test_a_candidate_that_cannot_be_meshed_is_left_out(pruning: str, monkeypatch
             raise MeshError("no mesh")
         return mesh(scene, jaw_x, resolution, smeared)
 
-    monkeypatch.setattr(fem, "section_mesh", failing)
+    monkeypatch.setattr(outlines, "section_mesh", failing)
     plan = generate_and_test(scene, proposals(scene), "test", "coarse", pruning=pruning)
     assert plan.grasp == whole.grasp
     left_out = {c.grasp.x for c in plan.candidates if c.reason == "unmeshable"}

@@ -15,8 +15,7 @@ from planners.proposals import along
 from planners.search import generate_and_test
 from retract_env.errors import MeshError
 from retract_env.grasp import Grasp, JawPath
-from retract_env.mesh import Resolution, SectionMesh, section_mesh
-from retract_env.physics import fem
+from retract_env.mesh import Resolution, SectionMesh, outlines, section_mesh
 from retract_env.scene import Scene
 from tests.planners.retractions import a_grasp, a_scene
 
@@ -111,7 +110,7 @@ def test_what_says_nothing_of_the_motion_does_not_confirm_the_rod(monkeypatch: p
             raise MeshError("no mesh")
         return mesh(scene, jaw_x, resolution, smeared)
 
-    monkeypatch.setattr(fem, "section_mesh", failing)
+    monkeypatch.setattr(outlines, "section_mesh", failing)
     said = reasons(scene, trials)
     assert (said[first], said[second], said[last]) == ("unmeshable", "slip", DISMISSED)
 
