@@ -94,12 +94,11 @@ def correction(
     def greatest(places: Array, values: Array) -> Array:
         """(t,) around each pose, of values known at places."""
         at_ends = np.interp(ends, places, values)
-        out = np.maximum(at_ends[:-1], at_ends[1:])
+        out: Array = np.maximum(at_ends[:-1], at_ends[1:])
         for i, (low, high) in enumerate(pairwise(ends)):
             inside = values[(places >= low) & (places <= high)]
             out[i] = max(out[i], inside.max(initial=-np.inf))
-        found: Array = out
-        return found
+        return out
 
     def there(values: Array) -> Array:
         """(t, ...) at the poses, of values (n, ...) of the history's frames."""

@@ -135,10 +135,9 @@ def read_mask(mask: Any, count: int) -> NDArray[np.bool_]:
     """Which of so many environments are reset, None: all. Raises ValueError."""
     if mask is None:
         return np.ones(count, np.bool_)
-    mask = np.asarray(mask)
-    if mask.shape != (count,) or mask.dtype != np.bool_ or not mask.any():
+    found: NDArray[np.bool_] = np.asarray(mask)
+    if found.shape != (count,) or found.dtype != np.bool_ or not found.any():
         raise ValueError(f"options['reset_mask'] allowed ({count},) bool, at least one of them True")
-    found: NDArray[np.bool_] = mask
     return found
 
 

@@ -55,15 +55,16 @@ def main(arguments: Sequence[str]) -> int:
     if not 0 < asked.share <= 1 or asked.jobs < 1:
         parser.error("allowed: a --share in (0, 1], at least 1 of --jobs")
     asked.out.mkdir(parents=True, exist_ok=True)
-    found, bad = {}, 0
+    found: dict[str, dict[str, Any]] = {}
+    bad = 0
     try:
         for part in asked.parts or PARTS:
             count, tasks_of, work = PARTS[part]
             tasks = tasks_of(max(1, round(asked.share * count)), code_version())
             rows = run_told(tasks, work, asked.out / f"{part}.jsonl", asked.jobs, False, part, Console())
             found[part] = summary(tasks, rows)
-            bad += sum(row["outcome"] in WRONG for row in rows)
-            print(told(part, tasks, rows))
+            bad += len(found[part]["wrong"])
+            print(told(part, found[part]))
     except KeyboardInterrupt:
         print("interrupted; the same command goes on", file=sys.stderr)
         return 130
@@ -93,11 +94,11 @@ def summary(tasks: Sequence[Mapping[str, Any]], rows: Sequence[Row]) -> dict[str
     return out
 
 
-def told(part: str, tasks: Sequence[Mapping[str, Any]], rows: Sequence[Row]) -> str:
+def told(part: str, found: Mapping[str, Any]) -> str:
     """A part's summary as lines."""
-    found = summary(tasks, rows)
-    wrong = found.pop("wrong")
-    lines = [f"{part}: {json.dumps(found)}", *(f"  WRONG {json.dumps(one)}" for one in wrong[:20])]
+    wrong = found["wrong"]
+    good = {name: value for name, value in found.items() if name != "wrong"}
+    lines = [f"{part}: {json.dumps(good)}", *(f"  WRONG {json.dumps(one)}" for one in wrong[:20])]
     return "\n".join(lines + ([f"  and {len(wrong) - 20} more"] if len(wrong) > 20 else []))
 
 

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from baselines.jobs.journal import Row, WorkItem
+from benchmarks._report import ROOT
 
-ROOT = Path(__file__).resolve().parents[1]
 COPIED = ("retract_env", "planners", "baselines", "tests", "benchmarks", "soak", "configs", "pyproject.toml")
 LONGEST = 3600.0
 """s, for the tests of one error: kernels are compiled anew for each."""

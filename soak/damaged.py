@@ -16,6 +16,7 @@ import numpy as np
 from baselines.benchmark.splits import load_benchmark
 from baselines.cli.certify import read_certificate, read_plan
 from baselines.cli.console import BadInput
+from baselines.jobs.files import write_json
 from baselines.jobs.journal import Journal, Row, WorkItem
 from baselines.learning.policies import load_policy, policy_folder
 from baselines.learning.recipe import load_recipe
@@ -110,7 +111,6 @@ def _read(task: dict[str, Any]) -> Row:
                 if (said := refused(ValueError(str(problem))))["outcome"] != "refused":
                     return said | {"detail": f"{kind} {number}: {said['detail']}"}
             except Exception as problem:
-                problem.add_note(f"{kind} {number}") if hasattr(problem, "add_note") else None
                 return {
                     "outcome": "raised",
                     "detail": f"{kind} {number}: {type(problem).__name__}: {problem}"[:500],
@@ -189,14 +189,7 @@ def _sound(kind: str) -> tuple[str, bytes, dict[str, bytes]]:
     path = PATHS["ctc"](scene, grasp)
     if kind == "plan":
         return "plan.json", json.dumps(plan_to_json(scene, "ctc", grasp, path, "coarse")).encode(), {}
-    said = certify(scene, grasp, path, "coarse").to_json()
-    return "certificate.json", json.dumps(_plain(said)).encode(), {}
-
-
-def _plain(value: Any) -> Any:
-    """As it stands in a file."""
-    from baselines.jobs.files import write_json
-
-    with tempfile.TemporaryDirectory() as folder:
-        write_json(Path(folder) / "it.json", value)
-        return json.loads((Path(folder) / "it.json").read_text("utf-8"))
+    with tempfile.TemporaryDirectory() as parent:
+        file = Path(parent) / "certificate.json"
+        write_json(file, certify(scene, grasp, path, "coarse").to_json())
+        return file.name, file.read_bytes(), {}

@@ -11,7 +11,7 @@ import numpy as np
 from baselines.jobs.journal import Row, WorkItem
 from planners import PLANNERS, NoPlan
 from planners.base import Candidate
-from planners.certify import REASONS, certify
+from planners.certify import certify
 from retract_env.errors import ConfigError, MeshError, SceneError
 from retract_env.grasp import Grasp, JawPath
 from retract_env.scene import Scene
@@ -87,7 +87,6 @@ def random_path(scene: Scene, rng: np.random.Generator) -> tuple[Grasp, JawPath]
     poses[1] = x, height / 2, 0.0, height - closed
     poses[2:, :3] = poses[1, :3] + where
     poses[2:, 3] = height - closed
-    poses[0, 2] = poses[1, 2]
     return Grasp(x, closed), JawPath.from_poses(poses, "random")
 
 
@@ -96,7 +95,7 @@ def _followed(task: dict[str, Any]) -> Row:
         scene = Scene.from_data(wide_scene(task["number"]))
         grasp, path = random_path(scene, np.random.default_rng([task["number"], 1]))
         judged = certify(scene, grasp, path, RESOLUTION)
-    except (ConfigError, MeshError, ValueError) as problem:
+    except ValueError as problem:
         return refused(problem)
-    good = judged.reason in REASONS and sound(judged.max_strain) if judged.reason != "diverged" else True
-    return {"outcome": judged.reason if good else "unsound", "detail": "", "increments": judged.increments}
+    outcome = judged.reason if sound(judged.max_strain) else "unsound"
+    return {"outcome": outcome, "detail": "", "increments": judged.increments}

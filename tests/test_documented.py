@@ -4,17 +4,12 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parent.parent
-PACKAGES = ("retract_env", "planners", "baselines")
-SOURCES = [
-    path.relative_to(ROOT).as_posix()
-    for package in PACKAGES
-    for path in sorted((ROOT / package).rglob("*.py"))
-]
+from tests.test_architecture import PACKAGES, ROOT, sources
+
+SOURCES = [path.relative_to(ROOT).as_posix() for path in sources(*PACKAGES)]
 Definition = ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef
 ELSEWHERE = {
     "reset", "step", "step_wait", "close", "render",  # of Gymnasium's and Stable-Baselines3's environments

@@ -145,8 +145,8 @@ def understood(found: Any) -> tuple[Grasp, JawPath] | Callable[[Any], Any]:
             raise Nonsense(f"a path of {len(found[1])} waypoints, allowed at most {MOST_WAYPOINTS}")
         return found[0], found[1]
     if callable(found) and not isinstance(found, type):
-        out: tuple[Grasp, JawPath] | Callable[[Any], Any] = found
-        return out
+        acts: Callable[[Any], Any] = found
+        return acts
     what = f"({', '.join(type(part).__name__ for part in found)})" if pair else brief(found)
     raise Nonsense(f"{what}, allowed {ALLOWED}")
 

@@ -58,6 +58,7 @@ class BatchVecEnv(VecEnv):
             each.setdefault(repr(options), np.zeros(self.num_envs, np.bool_))[k] = True
         for mask in each.values():
             options = {**self._options[int(mask.argmax())], "reset_mask": mask}
+            observations: NDArray[np.float32]
             observations, infos = self.envs.reset(seed=self._seeds, options=options)  # type: ignore[arg-type]
             where = np.flatnonzero(mask)
             for place, info in zip(where, rows(infos, where), strict=True):
@@ -66,8 +67,7 @@ class BatchVecEnv(VecEnv):
         self._reset_options()
         for counted in (self._returns, self._lengths, *self._terms.values()):
             counted[:] = 0
-        found: NDArray[np.float32] = observations
-        return found
+        return observations
 
     def step_async(self, actions: NDArray[Any]) -> None:
         """Actions (n, 3) of the next `step_wait`."""

@@ -12,18 +12,18 @@ from retract_env.scene import Scene
 
 BASES = ("homogeneous, CTC", "eased, light grip")
 """Cases of `solution`, a firm grip and a light one."""
-CHANGES: Mapping[str, tuple[str, str, Any]] = {
-    "as it is": ("", "", None),
-    "Poisson's ratio .40 for .45": ("tissue", "poisson", 0.40),
-    "Poisson's ratio .49 for .45": ("tissue", "poisson", 0.49),
-    "jaws .5 mm wide for 1 mm": ("jaws", "width", 5e-4),
-    "jaws 2 mm wide for 1 mm": ("jaws", "width", 2e-3),
-    "20 mm deep for 4.4 mm": ("tissue", "depth", 0.020),
-    "20 mm deep, jaws hold 4.4 mm of it": ("jaws", "depth", 4.4e-3),
-    "no bed": ("", "bed", False),
-    "weight 10 % more": ("tissue", "density", 1100.0),
+CHANGES: Mapping[str, Mapping[str, Any]] = {
+    "as it is": {},
+    "Poisson's ratio .40 for .45": {"tissue": {"poisson": 0.40}},
+    "Poisson's ratio .49 for .45": {"tissue": {"poisson": 0.49}},
+    "jaws .5 mm wide for 1 mm": {"jaws": {"width": 5e-4}},
+    "jaws 2 mm wide for 1 mm": {"jaws": {"width": 2e-3}},
+    "20 mm deep for 4.4 mm": {"tissue": {"depth": 0.020}},
+    "20 mm deep, jaws hold 4.4 mm of it": {"tissue": {"depth": 0.020}, "jaws": {"depth": 4.4e-3}},
+    "no bed": {"bed": False},
+    "weight 10 % more": {"tissue": {"density": 1100.0}},
 }
-"""What is changed: a part of the scene, its field, and the value there."""
+"""What is changed of a scene: fields of its parts, or its own."""
 
 
 def freed(scene: Scene) -> Scene:
@@ -33,12 +33,9 @@ def freed(scene: Scene) -> Scene:
 
 def changed(scene: Scene, change: str) -> Scene:
     """The scene with another assumption."""
-    part, field, value = CHANGES[change]
     data = scene.dump()
-    if part == "jaws" and field == "depth":
-        data["tissue"]["depth"] = 0.020
-    if field:
-        (data[part] if part else data)[field] = value
+    for name, value in CHANGES[change].items():
+        data[name] = {**data[name], **value} if isinstance(value, Mapping) else value
     return Scene.from_data(data)
 
 

@@ -62,6 +62,19 @@ class Body:
             out[dofs] = vectors[len(self.at) - len(dofs) :, i]
         return out
 
+    def face(self, axis: int, high: bool) -> NDArray[np.bool_]:
+        """(n,) nodes of one side of a box."""
+        x = self.at[:, axis]
+        found: NDArray[np.bool_] = np.abs(x - (x.max() if high else x.min())) < 1e-9
+        return found
+
+    def held(self, nodes: NDArray[np.bool_], *axes: int) -> NDArray[np.bool_]:
+        """(size,) unknowns of nodes (n,) in directions."""
+        mask = np.zeros(self.at.shape)
+        for axis in axes:
+            mask[nodes, axis] = 1
+        return self.unknowns(mask) > 0
+
     def affine(self, F: ArrayLike, shift: ArrayLike = (0, 0, 0)) -> Array:
         """Unknowns of x -> F x + shift."""
         return self.unknowns(self.at @ np.asarray(F, float).T + np.asarray(shift, float) - self.at)

@@ -49,28 +49,15 @@ def _block(poisson: float = POISSON) -> Body:
     return prism_body(scene, section_mesh(scene, None, MESH))
 
 
-def _face(body: Body, axis: int, high: bool) -> NDArray[np.bool_]:
-    x = body.at[:, axis]
-    found: NDArray[np.bool_] = np.abs(x - (x.max() if high else x.min())) < 1e-9
-    return found
-
-
-def _held(body: Body, nodes: NDArray[np.bool_], *axes: int) -> NDArray[np.bool_]:
-    mask = np.zeros(body.at.shape)
-    for axis in axes:
-        mask[nodes, axis] = 1
-    return body.unknowns(mask) > 0
-
-
 def patch_test(resolution: str) -> Row:  # noqa: ARG001  (of studies; here the mesh is given)
     """Affine boundary values are solved by the affine field, over the body's length."""
     body = _block()
     F = np.array([[1.2, 0.3, 0.0], [-0.1, 0.9, 0.0], [0.0, 0.0, 1.1]])
     target = body.affine(F)
     sides = [
-        _face(body, axis, high) for axis, high in ((0, False), (0, True), (1, False), (1, True), (2, True))
+        body.face(axis, high) for axis, high in ((0, False), (0, True), (1, False), (1, True), (2, True))
     ]
-    free = ~_held(body, np.any(sides, axis=0), 0, 1, 2)
+    free = ~body.held(np.any(sides, axis=0), 0, 1, 2)
     u, _ = relax(body.assembly(free), np.where(free, 0.8 * target, target))
     return most(float(np.abs(u - target).max()) / 0.012, 1e-10)
 
@@ -96,9 +83,9 @@ def _stretched(stretches: Array, held: tuple[int, ...], poisson: float) -> Row:
     body = _block(poisson)
     prescribed = np.zeros(body.size, bool)
     for axis in range(3):
-        prescribed |= _held(body, _face(body, axis, False), axis)
+        prescribed |= body.held(body.face(axis, False), axis)
         if axis in held:
-            prescribed |= _held(body, _face(body, axis, True), axis)
+            prescribed |= body.held(body.face(axis, True), axis)
     target = body.affine(np.diag(stretches))
     # the guess is off where nothing holds it
     off = body.affine(np.diag(np.where(np.isin(range(3), held), stretches, 1 + 0.9 * (stretches - 1))))
@@ -106,7 +93,7 @@ def _stretched(stretches: Array, held: tuple[int, ...], poisson: float) -> Row:
     mu, lam = (float(v) for v in lame(np.array(MODULUS), np.array(poisson)))
     stress = mu * stretches[0] + (lam * math.log(math.prod(stretches)) - mu) / stretches[0]
     size = np.ptp(body.at, axis=0)
-    found = float(body.vectors(force)[_face(body, 0, True), 0].sum())
+    found = float(body.vectors(force)[body.face(0, True), 0].sum())
     return most(abs(found / (stress * size[1] * size[2]) - 1), 1e-9)
 
 

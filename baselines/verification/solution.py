@@ -133,9 +133,8 @@ def on_mesh(resolution: str, case: str, splits: int) -> Row:  # noqa: ARG001  (o
     """What is certified of a case, on a mesh; splits: one of SPLITS, or CERTIFIED."""
     scene, path = until_certified(case)
     grasp = CASES[case].grasp
-    retraction = Retraction(scene, grasp, path, limits=WIDE)
-    if splits != CERTIFIED:
-        retraction = OnMesh(scene, grasp, path, splits)
+    plain = splits == CERTIFIED
+    retraction = Retraction(scene, grasp, path, limits=WIDE) if plain else OnMesh(scene, grasp, path, splits)
     retraction.squeeze()
     retraction.move()
     assert retraction.physics is not None

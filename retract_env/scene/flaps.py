@@ -174,7 +174,7 @@ def _place(
 @njit(cache=True, nogil=True)
 def _draw_oval(row: State, a: float, b: float, oval: Array) -> int:
     """8 to 10 vertices around the origin, semi-axes about a and b m, dented and tilted a little."""
-    n = integers(row, np.int64(8), np.int64(MOST_CORNERS))
+    n: int = integers(row, np.int64(8), np.int64(MOST_CORNERS))
     for k in range(n):
         oval[k, 0] = (uniform(row, -0.25, 0.25) + k) * (math.tau / n)
     for k in range(n):
@@ -185,8 +185,7 @@ def _draw_oval(row: State, a: float, b: float, oval: Array) -> int:
     for k in range(n):
         x, y = oval[k, 0], oval[k, 1]
         oval[k, 0], oval[k, 1] = c * x - s * y, s * x + c * y
-    found: int = n
-    return found
+    return n
 
 
 @njit(cache=True, nogil=True)

@@ -13,10 +13,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks._report import ROOT
 from retract_env.errors import SceneError
 from retract_env.scene import Scene
 from soak.__main__ import main
-from soak.bugs import BUGS, ROOT
+from soak.bugs import BUGS
 from soak.damaged import READERS, damage, read
 from soak.episodes import played
 from soak.interruptions import COMMANDS, _half_written, stopped

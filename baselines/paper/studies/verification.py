@@ -28,6 +28,7 @@ WORDS = {"max_strain": "eps_max", "required_friction": "needed friction", "clear
 ALLOWED = {"max_strain": 0.03, "required_friction": 0.03, "clearance": 0.005}
 """By how much the mesh of certificates may be off: of strain relative, of friction as it is, of clearance
 over the length."""
+BOUNDS: dict[str, object] = {"least": "", "most": "", "holds": ""}
 UNITS = {"max_strain": "% of it", "required_friction": "hundredths", "clearance": "% of the length"}
 
 
@@ -94,7 +95,7 @@ def _report(rows: Sequence[Row]) -> Report:
         table,
         figure,
         claims,
-        [_told(checks, "code"), _solution_text(cases), _model_text(model)],
+        [_code_text(checks), _solution_text(cases), _model_text(model)],
     )
 
 
@@ -102,37 +103,24 @@ def _holds(row: Row) -> bool:
     return number(row["least"]) <= number(row["value"]) <= number(row["most"])
 
 
+def _line(group: str, what: str, found: float, unit: str = "", **more: object) -> dict[str, object]:
+    """A row of the table; what nothing is asked of has no bounds."""
+    return {"group": group, "what": what, "found": found, "unit": unit, **BOUNDS, **more}
+
+
 def _check_line(row: Row) -> dict[str, object]:
-    return {
-        "group": "code",
-        "what": row["what"],
-        "found": number(row["value"]),
-        "unit": row["unit"],
-        "least": number(row["least"]),
-        "most": number(row["most"]),
-        "holds": "yes" if _holds(row) else "no",
-    }
-
-
-def _line(group: str, what: str, found: float, most: float = math.nan) -> dict[str, object]:
-    holds = "" if math.isnan(most) else "yes" if found <= most else "no"
-    return {
-        "group": group,
-        "what": what,
-        "found": found,
-        "unit": "",
-        "least": "",
-        "most": "" if math.isnan(most) else most,
-        "holds": holds,
-    }
+    least, most, holds = number(row["least"]), number(row["most"]), "yes" if _holds(row) else "no"
+    return _line("code", row["what"], number(row["value"]), row["unit"], least=least, most=most, holds=holds)
 
 
 def _solution_lines(cases: dict[str, dict[str, Converged]]) -> list[dict[str, object]]:
-    return [
-        _line("solution", f"{case}: {WORDS[name]} of fine off its limit", abs(found.off), ALLOWED[name])
-        for case, by_name in cases.items()
-        for name, found in by_name.items()
-    ]
+    lines = []
+    for case, by_name in cases.items():
+        for name, found in by_name.items():
+            off, most = abs(found.off), ALLOWED[name]
+            what, holds = f"{case}: {WORDS[name]} of fine off its limit", "yes" if off <= most else "no"
+            lines.append(_line("solution", what, off, most=most, holds=holds))
+    return lines
 
 
 def _changes(rows: Sequence[Row]) -> list[tuple[Row, float, float]]:
@@ -158,13 +146,8 @@ def _model_lines(rows: Sequence[Row]) -> list[dict[str, object]]:
     ]
 
 
-def _told(checks: Sequence[Row], title: str) -> str:
-    lines = [
-        f"## {title.capitalize()}",
-        "",
-        "| what | found | allowed | holds |",
-        "| --- | --- | --- | --- |",
-    ]
+def _code_text(checks: Sequence[Row]) -> str:
+    lines = ["## Code", "", "| what | found | allowed | holds |", "| --- | --- | --- | --- |"]
     for row in checks:
         least, most = number(row["least"]), number(row["most"])
         allowed = f"at most {most:.3g}" if math.isinf(least) else f"{least:.4g} to {most:.4g}"

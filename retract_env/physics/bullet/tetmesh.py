@@ -185,13 +185,12 @@ def _veins(scene: Scene, centres: Array, volume: Array) -> tuple[Ints, tuple[Vei
 def _faces(cells: Ints, points: Array, on: NDArray[np.bool_]) -> Ints:
     """Faces (k, 3) of the cells that have three of their nodes on the plane, counter-clockwise in x and y."""
     three = on.sum(axis=1) == 3
-    faces = cells[three][on[three]].reshape(-1, 3)
+    faces: Ints = cells[three][on[three]].reshape(-1, 3)
     p = points[faces, :2]
     a, b = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
     turned = a[:, 0] * b[:, 1] < a[:, 1] * b[:, 0]
     faces[turned] = faces[turned][:, ::-1]
-    found: Ints = faces
-    return found
+    return faces
 
 
 def _share(corners: Array, centres: Array, column: Ints) -> csr_matrix:

@@ -47,21 +47,6 @@ def case(request: pytest.FixtureRequest) -> tuple[Body, float]:
     return BODIES[name](poisson), poisson
 
 
-def face(body: Body, axis: int, high: bool) -> NDArray[np.bool_]:
-    """Nodes (n,) of one side of the box."""
-    x = body.at[:, axis]
-    found: NDArray[np.bool_] = np.abs(x - (x.max() if high else x.min())) < 1e-9
-    return found
-
-
-def held(body: Body, nodes: NDArray[np.bool_], *axes: int) -> NDArray[np.bool_]:
-    """Unknowns (size,) of nodes in directions."""
-    mask = np.zeros(body.at.shape)
-    for axis in axes:
-        mask[nodes, axis] = 1
-    return body.unknowns(mask) > 0
-
-
 def resultant(body: Body, force: Array, nodes: NDArray[np.bool_]) -> Array:
     found: Array = body.vectors(force)[nodes].sum(axis=0)
     return found
@@ -83,16 +68,14 @@ def test_uniaxial_stretch(case: Case, stretch: float) -> None:
         return float(mu * (t * t - 1) + lam * np.log(stretch * t * t))
 
     t = brentq(lateral_stress, 0.3, 3.0, xtol=1e-15)
-    ends = face(body, 0, False) | face(body, 0, True)
-    prescribed = (
-        held(body, ends, 0) | held(body, face(body, 1, False), 1) | held(body, face(body, 2, False), 2)
-    )
+    ends = body.face(0, False) | body.face(0, True)
+    prescribed = body.held(ends, 0) | body.held(body.face(1, False), 1) | body.held(body.face(2, False), 2)
     target = body.affine(np.diag([stretch, t, t]))
     guess = body.affine(np.diag([stretch, 1.03 * t, 0.97 * t]))
     u, force = relax(body.assembly(~prescribed), np.where(prescribed, target, guess))
     assert np.abs(u - target).max() < 1e-10 * SIZE[0]
     P = mu * stretch + (lam * np.log(stretch * t * t) - mu) / stretch
-    assert resultant(body, force, face(body, 0, True))[0] == pytest.approx(P * SIZE[1] * SIZE[2], rel=1e-9)
+    assert resultant(body, force, body.face(0, True))[0] == pytest.approx(P * SIZE[1] * SIZE[2], rel=1e-9)
     for stretches in body.whole.stretches(u):
         assert np.abs(stretches - np.sort([stretch, t, t])).max() < 1e-7
 
@@ -104,8 +87,8 @@ def test_simple_shear(case: Case) -> None:
     gamma = 0.6
     F = np.eye(3)
     F[0, 1] = gamma
-    sides = [face(body, axis, high) for axis in (0, 1) for high in (False, True)]
-    prescribed = held(body, np.any(sides, axis=0), 0, 1, 2) | held(body, face(body, 2, False), 2)
+    sides = [body.face(axis, high) for axis in (0, 1) for high in (False, True)]
+    prescribed = body.held(np.any(sides, axis=0), 0, 1, 2) | body.held(body.face(2, False), 2)
     u = body.affine(F)
     u[~prescribed] *= 0.9
     solved, force = relax(body.assembly(~prescribed), u)
@@ -131,7 +114,7 @@ def test_homogeneous_pressure(case: Case, stretch: float) -> None:
     prescribed = np.zeros(body.size, bool)
     for axis in range(3):
         for high in (False, True):
-            prescribed |= held(body, face(body, axis, high), axis)
+            prescribed |= body.held(body.face(axis, high), axis)
     target = body.affine(stretch * np.eye(3))
     u = np.zeros(body.size)
     u[prescribed] = target[prescribed]
@@ -141,5 +124,5 @@ def test_homogeneous_pressure(case: Case, stretch: float) -> None:
     pressure = (mu * (stretch**2 - 1) + 3 * lam * np.log(stretch)) / stretch**3
     for axis in range(3):
         area = stretch**2 * np.prod(np.delete(SIZE, axis))
-        on_side = resultant(body, force, face(body, axis, True))[axis]
+        on_side = resultant(body, force, body.face(axis, True))[axis]
         assert on_side == pytest.approx(pressure * area, rel=1e-9)
