@@ -152,8 +152,8 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
     1. Termination: success, no tissue lies below the line of sight, or as far above it as the scene asks
        (`limits.clearance`).
     2. Termination: a limit breaks. The tissue tears ("strain"), or a jaw slips ("slip") or would have to pull
-       ("release"), or tissue would be pushed by itself or by the block that holds the fixed end ("contact"),
-       which is not computed. A move may stop where that happens.
+       ("release"), or tissue runs into itself, which is not computed, or too far into the block that holds
+       the fixed end ("contact"). A move may stop where that happens.
     3. Truncation: 64 steps were taken, or as many as `task` says; `spec.max_episode_steps` says it too.
     4. Truncation: the physics cannot go on ("diverged"); the last good state is observed, nothing is rewarded
        but what led there.

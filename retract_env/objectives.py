@@ -19,9 +19,9 @@ WORST_FRACTION = 0.01
 """Share of the volume that eps_1% averages over."""
 
 
-IN_BLOCK = 1e-3
-"""Part of the height that tissue has to be inside the fixed block to count: nodes beside the fixed end keep
-off it by rounding alone."""
+IN_BLOCK = 0.02
+"""Part of the height that tissue has to be inside the fixed block to count. The block's push is a penalty, by
+which a flap sinks in by a quarter of this at most where it lies on it under its own weight."""
 
 
 def strain(stretches: ArrayLike) -> Array:
@@ -157,8 +157,8 @@ def verdict(
 
     max_strain: eps_1%; required_friction: of each closed jaw, 0 for open ones; clearance: m; overlap: whether
     tissue is where something else is. Limits come before success: "strain" torn, "release" a jaw pulls,
-    "slip" it slides, "contact" tissue would be pushed by itself or by the block that holds the fixed end,
-    which nothing here computes, "ok" the target is in view.
+    "slip" it slides, "contact" tissue is where other tissue is, which nothing here computes, or deeper in the
+    block that holds the fixed end than this yields, "ok" the target is in view.
     """
     friction = float(np.max(required_friction))
     if max_strain > strain_limit:

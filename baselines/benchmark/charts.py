@@ -32,6 +32,7 @@ FAILED = {
     "release": "#cc79a7",
     "contact": "#56b4e9",
     "diverged": "#6d757d",
+    "unsure": "#b9a7dd",
     "time": "#0072b2",
     "raised": "#7b3294",
     "returned": "#8c6d31",

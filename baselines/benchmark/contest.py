@@ -23,6 +23,7 @@ from baselines.jobs.apart import STARTING, Answer, Apart
 from baselines.jobs.journal import Row, WorkItem
 from baselines.jobs.version import code_version
 from planners.certify import FAILURES, Certificate, certify
+from planners.swift.planner import UNSURE
 from retract_env.grasp import Grasp, JawPath
 from retract_env.scenarios import draws
 from retract_env.scene import Scene
@@ -30,8 +31,8 @@ from retract_env.scene import Scene
 TROUBLES = ("time", "raised", "returned", "died")
 """Why nothing that a method handed in could be judged: it took too long, raised, returned nonsense, or its
 process died."""
-REASONS = (*FAILURES, *TROUBLES)
-"""Why a row is not certified; a planner that found nothing may give others."""
+REASONS = (*FAILURES, UNSURE, *TROUBLES)
+"""Why a row is not certified; "unsure" is a planner that hands in nothing, as the rod finds a limit broken."""
 ACT = ("policy", "external")
 """Kinds of methods that may be policies, and are then played on the other physics and on draws too."""
 

@@ -5,7 +5,7 @@ FAILS = {
     "strain": "too much strain",
     "slip": "a jaw slips",
     "release": "a jaw lets go",
-    "contact": "tissue meets itself or the block that holds the fixed end",
+    "contact": "tissue runs into itself or into the block that holds the fixed end",
     "diverged": "no equilibrium was found",
     "undecided": "not decided, which counts as failing",
 }

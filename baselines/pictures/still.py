@@ -57,7 +57,7 @@ VERDICTS = {
     "strain": "Not certified, too much strain",
     "slip": "Not certified, a jaw slips",
     "release": "Not certified, a jaw lets go",
-    "contact": "Not certified, tissue meets itself or the fixed end's block",
+    "contact": "Not certified, tissue runs into itself or the fixed block",
     "diverged": "Not certified, no equilibrium found",
 }
 

@@ -16,7 +16,7 @@ ENDS = {
     "strain": "The tissue was strained too much.",
     "slip": "The tissue slipped in the jaws.",
     "release": "A jaw lost the tissue.",
-    "contact": "The tissue met itself, or the block that holds its fixed end.",
+    "contact": "The tissue ran into itself, or into the block that holds its fixed end.",
     "diverged": "No equilibrium of the tissue was found from here on.",
     "time": "A minute of motion is over, and the target is still hidden.",
 }
@@ -26,7 +26,7 @@ JUDGED = {
     "strain": "the tissue is strained too much",
     "slip": "the tissue slips in the jaws",
     "release": "a jaw loses the tissue",
-    "contact": "the tissue meets itself or the fixed block",
+    "contact": "the tissue runs into itself or the fixed block",
     "diverged": "no equilibrium was found",
 }
 """Why a certificate says no, by its name for it."""

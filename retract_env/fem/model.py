@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from retract_env.errors import MeshError
 from retract_env.fem import descent
 from retract_env.fem.assembly import Assembly
+from retract_env.fem.contact import Contact
 from retract_env.fem.descent import Turn
 from retract_env.fem.prism import Prism
 from retract_env.mesh import RESOLUTIONS, Resolution, SectionMesh
@@ -80,6 +81,8 @@ class FlapModel:
         self._bed, self._bed_stiffness = self._bed[row >= 0], self._bed_stiffness[row >= 0]
         self._bed_diagonal = self.assembly.indptr[row[row >= 0]]
 
+        self.contact = Contact(scene, section, prism, held, number, self.assembly.indptr)
+
         across = prism.x(nodes, every)
         turning = number[across] >= 0
         self._turning = number[across[turning]].astype(np.int32)
@@ -132,6 +135,7 @@ class FlapModel:
     def residual(self, u: Array) -> tuple[float, Array]:
         """Potential energy [J] and its gradient (n,) [N], forces that hold prescribed nodes included."""
         energy, force = self.assembly.residual(u)
+        energy += self.contact.add_force(u, force)
         return energy + float(_outer_force(u, self.load, self._bed, self._bed_stiffness, force)), force
 
     def on_bed(self, u: Array) -> Bools:
@@ -154,6 +158,7 @@ class FlapModel:
         values = self.assembly.tangent(u)
         down = self.on_bed(u) if held is None else self.on_bed(u) | held
         values[self._bed_diagonal[down]] += self._bed_stiffness[down]
+        self.contact.add_tangent(u, values)
         return values
 
     def tangent_times(self, u: Array, v: Array) -> Array:
@@ -161,6 +166,7 @@ class FlapModel:
         out = self.assembly.tangent_times(u, v)
         down = self._bed[u[self._bed] < 0]
         out[down] += self._bed_stiffness[u[self._bed] < 0] * v[down]
+        self.contact.add_tangent_times(u, v, out)
         return out
 
     def turned(self, u: Array, v: Array) -> Turn:

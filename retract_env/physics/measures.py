@@ -31,8 +31,8 @@ Ints = NDArray[np.int32]
 
 EDGE = 0.2
 """Over a jaw's width, side of the square that may be covered twice. Beside the sharp edge of a rigid patch
-the surface of a soft solid folds on the scale of the elements there; a real pad's edge is rounder than that.
-What covers more meets itself elsewhere, or so deeply that it matters."""
+the surface of a soft solid folds on the scale of the elements there, and may turn over the pad's round edge
+(`fem.contact`). What covers more meets itself elsewhere, or so deeply that it matters."""
 
 
 def linear_tetrahedra(points: Array, cells: Ints, modulus: Array, poisson: Array) -> ElementBlock:

@@ -27,8 +27,9 @@ from retract_env.rod.sections import SHEAR, SLICES, moments
 
 FREE, INNER = 10, 16
 """Elements of the free part, and of the part between the jaws and the fixed end."""
-BED_STIFFNESS = 0.3
-"""Of bed and block, E d per length of flap: what the tissue between axis and surface gives."""
+BED_STIFFNESS, BLOCK_STIFFNESS = 0.3, 2.0
+"""E d per length of flap: what the tissue between axis and surface gives. The block's is that of half the
+height; the bed's is softer, which is found sooner and changes no lifted flap."""
 SHORTEST = 0.02
 """Least length of the free part, heights: a grasp at the free end leaves a stub, where otherwise nothing
 were."""
@@ -78,7 +79,7 @@ def _chain(flap, vertices, offsets, moduli, left, right, count, weight, bed, P, 
     P[LENGTH * LANES + lane] = (right - left) / count / height
     P[WEIGHT * LANES + lane] = weight
     P[BED * LANES + lane] = bed
-    P[BLOCK * LANES + lane] = BED_STIFFNESS
+    P[BLOCK * LANES + lane] = BLOCK_STIFFNESS
     P[SLACK * LANES + lane] = SLACKENS * (1.0 + 1.5 * poisson) / 12.0
     for k in range(3):
         P[(LOAD + k) * LANES + lane] = 0.0

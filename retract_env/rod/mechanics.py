@@ -29,9 +29,9 @@ so that the normal force is N = A e' + B k, the moment M = B e' + D k - 2 b k N,
 Along an element x', y' and theta' are constant, and theta is taken in its middle: one point of integration,
 which neither locks nor hourglasses.
 
-Weight acts on the axis. The bed y = 0 and the block x > 0, y < 1 that holds the fixed end push the flap's
-lower surface (z = -1/2) with a stiffness per length; the block along the shorter way out, so that nothing
-jumps at its corner.
+Weight acts on the axis. The bed y = 0 pushes the flap's lower surface (z = -1/2), the block x > 0, y < 1 that
+holds the fixed end both surfaces, with a stiffness per length; the block along the shorter way out, so that
+nothing jumps at its corner.
 """
 
 from __future__ import annotations
@@ -142,25 +142,39 @@ def contact(x, y, sine, cosine, bed, block):
 
     Returns energy; its gradient over x, y, theta; its second derivatives xx, yy, xt, yt, tt.
     """
-    X, Y = x + 0.5 * sine, y - 0.5 * cosine
+    dx, dy = 0.5 * cosine, 0.5 * sine
+    X, Y = x + dy, y - dx
     below = max(-Y, 0.0)
-    deep = max(1.0 - Y, 0.0)
-    aside = max(X, 0.0)
+    energy, gx, gy, kx, ky = _pushed_out(X, Y, block)
+    energy += 0.5 * bed * below * below
+    gy -= bed * below
+    ky += bed if Y < 0.0 else 0.0
+    # of the upper surface, whose derivatives over theta are those of the lower one, but for the sign
+    more, hx, hy, mx, my = _pushed_out(x - dy, y + dx, block)
+    px, py = gx - hx, gy - hy
+    return (
+        energy + more,
+        gx + hx,
+        gy + hy,
+        px * dx + py * dy,
+        kx + mx,
+        ky + my,
+        (kx - mx) * dx,
+        (ky - my) * dy,
+        (kx + mx) * dx * dx + (ky + my) * dy * dy - px * dy + py * dx,
+    )
+
+
+@njit(fastmath=CONTRACT, error_model="numpy")
+def _pushed_out(x, y, block):
+    """Energy of a point in the block, its gradient over x and y, and its second derivatives xx and yy."""
+    deep, aside = max(1.0 - y, 0.0), max(x, 0.0)
     leftwards = block if aside < deep else 0.0
     upwards = block - leftwards
-    kx = leftwards if aside > 0.0 else 0.0
-    ky = (upwards if deep > 0.0 else 0.0) + (bed if Y < 0.0 else 0.0)
-    gx = leftwards * aside
-    gy = -bed * below - upwards * deep
-    dx, dy = 0.5 * cosine, 0.5 * sine
     return (
-        0.5 * (bed * below * below + leftwards * aside * aside + upwards * deep * deep),
-        gx,
-        gy,
-        gx * dx + gy * dy,
-        kx,
-        ky,
-        kx * dx,
-        ky * dy,
-        kx * dx * dx + ky * dy * dy - gx * dy + gy * dx,
+        0.5 * (leftwards * aside * aside + upwards * deep * deep),
+        leftwards * aside,
+        -upwards * deep,
+        leftwards if aside > 0.0 else 0.0,
+        upwards if deep > 0.0 else 0.0,
     )
