@@ -32,7 +32,7 @@ TROUBLES = ("time", "raised", "returned", "died")
 """Why nothing that a method handed in could be judged: it took too long, raised, returned nonsense, or its
 process died."""
 REASONS = (*FAILURES, UNSURE, *TROUBLES)
-"""Why a row is not certified; "unsure" is a planner that hands in nothing, as the rod finds a limit broken."""
+"""Why a row is not certified; "unsure": a planner hands in nothing, as the rod finds a limit broken."""
 ACT = ("policy", "external")
 """Kinds of methods that may be policies, and are then played on the other physics and on draws too."""
 

@@ -15,7 +15,16 @@ from __future__ import annotations
 
 from numba import njit
 
-from retract_env.rod.mechanics import CONTRACT, contact, energy, gradient, hessian, sine_cosine, strains
+from retract_env.rod.mechanics import (
+    CONTRACT,
+    blocked,
+    energy,
+    gradient,
+    hessian,
+    resting,
+    sine_cosine,
+    strains,
+)
 
 LANES = 16
 """Chains side by side. LLVM vectorises loops of fewer rounds only where it can prove that no two arrays
@@ -167,11 +176,25 @@ def _push(P, U, W, node):
     """Add what bed and block do to a node to the element at hand, its second one."""
     share = 0.5 if node == 0 else 1.0  # of an element's length that belongs to the node
     V = _rows(U, 3 * node, 3)
+    near = 0
+    for l in range(LANES):
+        near += 1 if V[l] > -0.5 else 0
     for l in range(LANES):
         length, w = share * P[LENGTH * LANES + l], ELEMENT * LANES + l
         s, c = sine_cosine(V[l + 2 * LANES])
-        bed, block = P[BED * LANES + l], P[BLOCK * LANES + l]
-        pushed, gx, gy, gt, xx, yy, xt, yt, tt = contact(V[l], V[l + LANES], s, c, bed, block)
+        pushed, gy, gt, yy, yt, tt = resting(V[l + LANES], s, c, P[BED * LANES + l])
+        W[ENERGY * LANES + l] += length * pushed
+        W[w + 3 * LANES] += length * yy
+        W[w + 4 * LANES] += length * yt
+        W[w + 5 * LANES] += length * tt
+        W[w + 22 * LANES] += length * gy
+        W[w + 23 * LANES] += length * gt
+    if near == 0:
+        return
+    for l in range(LANES):
+        length, w = share * P[LENGTH * LANES + l], ELEMENT * LANES + l
+        s, c = sine_cosine(V[l + 2 * LANES])
+        pushed, gx, gy, gt, xx, yy, xt, yt, tt = blocked(V[l], V[l + LANES], s, c, P[BLOCK * LANES + l])
         W[ENERGY * LANES + l] += length * pushed
         W[w] += length * xx
         W[w + 2 * LANES] += length * xt
@@ -321,5 +344,5 @@ def total_energy(P, U, count, clamped, out):
             A, B, D, G = S[l], S[l + LANES], S[l + 2 * LANES], S[l + 3 * LANES]
             inner = energy(stretch, shear, (t1 - t0) * per, A, B, D, G, P[SLACK * LANES + l])
             s, c = sine_cosine(t0)
-            pushed = contact(x0, y0, s, c, P[BED * LANES + l], P[BLOCK * LANES + l])[0]
+            pushed = resting(y0, s, c, P[BED * LANES + l])[0] + blocked(x0, y0, s, c, P[BLOCK * LANES + l])[0]
             out[l] += length * (inner + 0.5 * weight * (y0 + y1) + touched * pushed)

@@ -1,4 +1,4 @@
-"""The rod as in a textbook: kinematics, strains, energy, what follows from it, and contact. Simo & Reissner.
+"""The rod as in a textbook: kinematics, strains, energy, and what bed and block do to it. Simo & Reissner.
 
 A planar rod, geometrically exact, that bends, stretches and shears. Lengths are in flap heights h, forces in
 E h d, with E the tissue's Young's modulus and d the flap's depth; so a section of plain tissue has unit
@@ -137,23 +137,31 @@ def hessian(stretch, shear, bend, sine, cosine, A, B, D, G, b):
 
 
 @njit(fastmath=CONTRACT, error_model="numpy")
-def contact(x, y, sine, cosine, bed, block):
-    """What bed and block do to the section at (x, y), per length, by their stiffness (0 where there is none).
+def resting(y, sine, cosine, bed):
+    """What the bed does to the section at height y, per length, by its stiffness (0 where there is none).
+
+    Returns energy; its gradient over y and theta; its second derivatives yy, yt, tt.
+    """
+    dx, dy = 0.5 * cosine, 0.5 * sine
+    below = max(dx - y, 0.0)
+    push = -bed * below
+    stiff = bed if below > 0.0 else 0.0
+    return 0.5 * bed * below * below, push, push * dy, stiff, stiff * dy, stiff * dy * dy + push * dx
+
+
+@njit(fastmath=CONTRACT, error_model="numpy")
+def blocked(x, y, sine, cosine, block):
+    """What the block does to both surfaces of the section at (x, y), likewise: nothing unless x > -1/2.
 
     Returns energy; its gradient over x, y, theta; its second derivatives xx, yy, xt, yt, tt.
     """
     dx, dy = 0.5 * cosine, 0.5 * sine
-    X, Y = x + dy, y - dx
-    below = max(-Y, 0.0)
-    energy, gx, gy, kx, ky = _pushed_out(X, Y, block)
-    energy += 0.5 * bed * below * below
-    gy -= bed * below
-    ky += bed if Y < 0.0 else 0.0
-    # of the upper surface, whose derivatives over theta are those of the lower one, but for the sign
-    more, hx, hy, mx, my = _pushed_out(x - dy, y + dx, block)
+    low, gx, gy, kx, ky = _pushed_out(x + dy, y - dx, block)
+    high, hx, hy, mx, my = _pushed_out(x - dy, y + dx, block)
+    # the upper surface turns as the lower one does, but for the sign
     px, py = gx - hx, gy - hy
     return (
-        energy + more,
+        low + high,
         gx + hx,
         gy + hy,
         px * dx + py * dy,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from retract_env.rod.mechanics import contact, energy, gradient, hessian, sine_cosine, strains
+from retract_env.rod.mechanics import blocked, energy, gradient, hessian, resting, sine_cosine, strains
 
 Array = NDArray[np.float64]
 
@@ -46,18 +46,25 @@ def element_hessian(u: Array) -> Array:
     return np.array([[xx, xy, xt, xk], [xy, yy, yt, yk], [xt, yt, tt, tk], [xk, yk, tk, kk]])
 
 
+def pushed(u: Array) -> tuple[Array, Array]:
+    """Energy and gradient over (x, y, theta) of what bed and block do, and the Hessian."""
+    s, c = np.sin(u[2]), np.cos(u[2])
+    lying, ly, lt, lyy, lyt, ltt = resting(u[1], s, c, BED)
+    inside, gx, gy, gt, xx, yy, xt, yt, tt = blocked(u[0], u[1], s, c, BLOCK)
+    first = np.array([lying + inside, gx, ly + gy, lt + gt])
+    return first, np.array([[xx, 0, xt], [0, lyy + yy, lyt + yt], [xt, lyt + yt, ltt + tt]])
+
+
 def pushed_energy(u: Array) -> float:
-    """Contact's, over (x, y, theta)."""
-    return float(contact(u[0], u[1], np.sin(u[2]), np.cos(u[2]), BED, BLOCK)[0])
+    return float(pushed(u)[0][0])
 
 
 def pushed_gradient(u: Array) -> Array:
-    return np.array(contact(u[0], u[1], np.sin(u[2]), np.cos(u[2]), BED, BLOCK)[1:4])
+    return pushed(u)[0][1:]
 
 
 def pushed_hessian(u: Array) -> Array:
-    xx, yy, xt, yt, tt = contact(u[0], u[1], np.sin(u[2]), np.cos(u[2]), BED, BLOCK)[4:]
-    return np.array([[xx, 0, xt], [0, yy, yt], [xt, yt, tt]])
+    return pushed(u)[1]
 
 
 def derivative_errors(function: Any, derivative: Any, at: Array) -> tuple[float, float]:
@@ -77,6 +84,8 @@ PUSHED = {
     "block, from the left": np.array([-0.1, 0.9, 0.8]),
     "block, from above": np.array([1.0, 1.4, -0.2]),
     "bed and block": np.array([0.05, 0.2, 0.3]),
+    "block, upper surface": np.array([1.0, 1.3, -3.0]),
+    "block, both surfaces": np.array([0.1, 0.8, 0.3]),
 }
 
 
@@ -102,7 +111,8 @@ def test_derivatives_are_those_that_differences_tend_to(function: Any, derivativ
 
 
 def test_each_contact_is_the_one_it_is_named_after() -> None:
-    bed, left, above, both = (pushed_gradient(u) for u in PUSHED.values())
+    bed, left, above, both, upper, _ = (pushed_gradient(u) for u in PUSHED.values())
+    assert upper[0] == 0 and upper[1] < 0
     assert bed[0] == 0 and bed[1] < 0
     assert left[0] > 0 and left[1] == 0
     assert above[0] == 0 and above[1] < 0
