@@ -7,6 +7,8 @@ import contextlib
 import hashlib
 import logging
 import os
+import stat
+import tempfile
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -20,23 +22,29 @@ def forget_old() -> None:
     """Delete the package's kernels where any of its sources has changed since they were compiled.
 
     numba compares a kernel with the file that it is written in, not with those of the functions that it
-    calls: after an update it would go on with what these were before. Where nothing can be written, nothing
-    is kept. What is kept is loaded without numba's compiler from now on.
+    calls: after an update it would go on with what these were before. What is kept is loaded without numba's
+    compiler from now on. Where numba may write nowhere, in no folder of the package and none of the user's,
+    kernels are kept in a temporary folder, and a warning says so.
     """
     _load_without_compiler()
     sources = sorted(_PACKAGE.rglob("*.py"))
     state = "".join(f"{path} {path.stat().st_mtime_ns} {path.stat().st_size}\n" for path in sources)
     stamp = hashlib.sha256(state.encode()).hexdigest()
-    folders = {folder: _kept_in(folder) for folder in {path.parent for path in sources}}
-    kept = folders[_PACKAGE] / "kernels.stamp"
+    one_of_each = {path.parent: path for path in sources}
+    if _kept_in(one_of_each[_PACKAGE]) is None:
+        _keep_in_temporary_folder()
+    folders = {folder: _kept_in(path) for folder, path in one_of_each.items()}
+    kept = folders[_PACKAGE]
+    if kept is None:  # numba will say so
+        return
     with contextlib.suppress(OSError):
-        if kept.exists() and kept.read_text("utf-8") == stamp:
+        file = kept / "kernels.stamp"
+        if file.exists() and file.read_text("utf-8") == stamp:
             return
-        for folder in folders.values():
-            for one in folder.glob("*.nb[ci]"):
+        for kernels in folders.values():
+            for one in kernels.glob("*.nb[ci]") if kernels else ():
                 one.unlink(missing_ok=True)
-        kept.parent.mkdir(parents=True, exist_ok=True)
-        kept.write_text(stamp, "utf-8")
+        file.write_text(stamp, "utf-8")
 
 
 @cache
@@ -63,14 +71,41 @@ def _load_without_compiler() -> None:
         FunctionCache.load_overload = load_overload
 
 
-def _kept_in(folder: Path) -> Path:
-    """Where numba keeps the kernels of the sources in a folder."""
-    if elsewhere := os.environ.get("NUMBA_CACHE_DIR"):
-        from numba.core.caching import _CacheLocator
+def _kept_in(source: Path) -> Path | None:
+    """The folder where numba keeps the kernels of a source, which it can write to; None without one."""
+    from numba.core.caching import CacheImpl
 
-        found: Path = Path(elsewhere) / _CacheLocator.get_suitable_cache_subpath(str(folder / "source.py"))
-        return found
-    return folder / "__pycache__"
+    for locator in CacheImpl._locator_classes:  # numba has no public way to ask
+        if found := locator.from_function(_kept_in, str(source)):
+            return Path(found.get_cache_path())
+    return None
+
+
+def _keep_in_temporary_folder() -> None:
+    """Have numba, here and in processes that begin here, keep kernels in a folder for temporary files that
+    is nobody else's: they are code, and are run."""
+    from numba.core import config
+
+    folder = Path(tempfile.gettempdir()) / f"retract_env-{getattr(os, 'getuid', lambda: 0)()}"
+    with contextlib.suppress(OSError):
+        folder.mkdir(mode=0o700, exist_ok=True)
+    if not _is_ours(folder):
+        folder = Path(tempfile.mkdtemp(prefix="retract_env-"))
+    os.environ["NUMBA_CACHE_DIR"] = config.CACHE_DIR = str(folder)
+    logging.getLogger("retract_env").warning(
+        "compiled kernels are kept in %s, as neither %s nor the user's cache can be written to; "
+        "NUMBA_CACHE_DIR says where else",
+        folder,
+        _PACKAGE,
+    )
+
+
+def _is_ours(folder: Path) -> bool:
+    """Whether nobody but this user can have put anything there."""
+    about = folder.lstat() if folder.exists() else None
+    if about is None or not stat.S_ISDIR(about.st_mode):
+        return False
+    return not hasattr(os, "getuid") or (about.st_uid == os.getuid() and not about.st_mode & 0o077)
 
 
 def is_cached(kernel: Any) -> bool:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import logging
 import os
+import shutil
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from numba.core import config
 
 from retract_env import compilation
 
@@ -21,6 +24,7 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A package of one kernel and of what the kernel calls, with the kernel compiled."""
     monkeypatch.setattr(compilation, "_PACKAGE", tmp_path)
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setattr(config, "CACHE_DIR", "")
     (tmp_path / "inner").mkdir()
     for name in ("kernel.py", "inner/called.py"):
         (tmp_path / name).write_text("one", "utf-8")
@@ -49,7 +53,7 @@ def test_a_folder_that_numba_was_given_is_searched_too(
     package: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     elsewhere = tmp_path_factory.mktemp("kept")
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(elsewhere))
+    monkeypatch.setattr(config, "CACHE_DIR", str(elsewhere))  # as numba reads NUMBA_CACHE_DIR when imported
     compilation.forget_old.__wrapped__()
     (stamp,) = elsewhere.rglob("kernels.stamp")
     ours, others = stamp.with_name("kernel.f-1.nbi"), elsewhere / "other" / "kernel.nbi"
@@ -59,6 +63,75 @@ def test_a_folder_that_numba_was_given_is_searched_too(
     (package / "kernel.py").write_text("another one", "utf-8")
     compilation.forget_old.__wrapped__()
     assert not ours.exists() and others.exists()
+
+
+@pytest.fixture
+def installed(
+    package: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> Path:
+    """The user's cache of a package in whose folders nobody can write: there a file is in the way."""
+    for folder in (package, package / "inner"):
+        shutil.rmtree(folder / "__pycache__")
+        (folder / "__pycache__").write_text("in the way", "utf-8")
+    cache = tmp_path_factory.mktemp("cache")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
+    return cache
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the user's cache is named by another variable")
+def test_kernels_in_the_users_cache_are_forgotten_too(package: Path, installed: Path) -> None:
+    compilation.forget_old.__wrapped__()
+    (stamp,) = installed.rglob("kernels.stamp")
+    kernel = stamp.with_name("kernel.f-1.nbi")
+    kernel.write_text("compiled", "utf-8")
+    compilation.forget_old.__wrapped__()
+    assert kernel.exists()
+    (package / "inner/called.py").write_text("another one", "utf-8")
+    compilation.forget_old.__wrapped__()
+    assert not kernel.exists()
+
+
+@pytest.fixture
+def nowhere(
+    installed: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> Path:
+    """The folder for temporary files, where nothing else can be written."""
+    (installed / "file").write_text("in the way", "utf-8")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(installed / "file"))
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "")  # so that it is as before in the end
+    temporary = tmp_path_factory.mktemp("temporary")
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+    return temporary
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the user's cache is named by another variable")
+def test_where_nothing_else_can_be_written_kernels_are_kept_among_temporary_files(
+    nowhere: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    compilation.forget_old.__wrapped__()
+    (folder,) = nowhere.iterdir()
+    assert folder.stat().st_mode & 0o077 == 0
+    assert os.environ["NUMBA_CACHE_DIR"] == str(folder)
+    assert list(folder.rglob("kernels.stamp"))
+    (record,) = caplog.records
+    assert str(folder) in record.message and "NUMBA_CACHE_DIR" in record.message
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the user's cache is named by another variable")
+@pytest.mark.parametrize("trap", ["open to others", "a link"])
+def test_a_folder_that_others_can_write_to_is_not_used(nowhere: Path, trap: str) -> None:
+    """They could put code there, which would be run."""
+    theirs = nowhere / f"retract_env-{os.getuid()}"
+    if trap == "a link":
+        (nowhere / "elsewhere").mkdir()
+        theirs.symlink_to(nowhere / "elsewhere")
+    else:
+        theirs.mkdir()
+        theirs.chmod(0o777)
+    compilation.forget_old.__wrapped__()
+    used = Path(os.environ["NUMBA_CACHE_DIR"])
+    assert used != theirs and used.parent == nowhere and used.stat().st_mode & 0o077 == 0
+    assert not any(theirs.iterdir())
 
 
 LOADED = """
@@ -85,6 +158,23 @@ def test_kernels_on_disk_are_loaded_without_the_compiler(tmp_path: Path) -> None
         for _ in range(2)
     ]
     assert said == [["False", "False", "True"], ["True", "False", "False"]]
+
+
+AT_ONCE = 3
+
+
+def test_processes_that_compile_at_the_same_time_leave_whole_kernels(tmp_path: Path) -> None:
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(ROOT)}
+    script = LOADED + "print(SpringModel(tissue).k_eq(np.linspace(-0.05, -0.001, 50)).tobytes().hex())"
+    command = [sys.executable, "-c", script]
+    at_once = [
+        subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) for _ in range(AT_ONCE)
+    ]
+    said = [process.communicate()[0].split() for process in at_once]
+    assert all(process.returncode == 0 for process in at_once)
+    last = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.split()
+    assert last[0] == "True"  # it found them
+    assert {words[-1] for words in [*said, last]} == {last[-1]}
 
 
 def test_whoever_waits_is_told_once(
