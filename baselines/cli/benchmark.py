@@ -70,8 +70,8 @@ def benchmark_command(
         if transfer and any(one.kind in ACT for one in methods):
             _check_bullet()
         tasks = tasks_of(about, methods, split or list(about.splits), scenes, transfer)
-        announce_compilation("fem", "planning", about.policy_physics)
         with usable_folder(out), going_on(lambda: "the same command goes on where it stopped"):
+            announce_compilation("fem", "planning", about.policy_physics)
             rows = run_with_bar(tasks, compete, out / ".benchmark.jsonl", jobs, cluster, "benchmark")
             curves: dict[str, list[Any]] = {}
             for one in methods:

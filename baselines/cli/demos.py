@@ -58,8 +58,8 @@ def demos_command(
             }
             for k in range(count)
         ]
-        announce_compilation("fem", physics)
         with usable_folder(kept.parent), going_on(lambda: "the same command goes on where it stopped"):
+            announce_compilation("fem", physics)
             rows = run_with_bar(tasks, demos.demonstrate, kept, jobs, cluster, name)
         typer.echo(demos.summary(rows))
         written = demos.write_dataset(name, rows, tasks[0], command_line())

@@ -76,9 +76,10 @@ def train_command(
             command = shlex.join(["retract", "train", algorithm, "--resume", "--out", str(folder)])
             return f"go on with `{command}`" if (folder / train.RUN).exists() else ""
 
-        announce_compilation(run.recipe.task.physics, *(["fem"] if run.recipe.evaluation.fem else []))
-        with usable_folder(folder), going_on(how), _told(algorithm, run) as told:
-            policy = train.train(run, folder, told)
+        with usable_folder(folder):
+            announce_compilation(run.recipe.task.physics, *(["fem"] if run.recipe.evaluation.fem else []))
+            with going_on(how), _told(algorithm, run) as told:
+                policy = train.train(run, folder, told)
         score = policy.scores["validation"]
         typer.echo(
             f"best on validation: {score['success']:.0%} succeed, strain {score['strain']:.2f} of the limit, "
