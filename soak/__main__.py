@@ -19,6 +19,7 @@ from baselines.jobs.version import code_version
 from benchmarks._report import machine
 from retract_env.threads import cores
 from soak.bugs import BUGS, bug_tasks, planted
+from soak.caches import cache_tasks, compiled
 from soak.damaged import file_tasks, read
 from soak.episodes import episode_tasks, played
 from soak.interruptions import stop_tasks, stopped
@@ -33,6 +34,7 @@ PARTS: Mapping[str, tuple[int, Callable[[int, str], list[dict[str, Any]]], Work]
     "bullet": (200, lambda count, code: episode_tasks("bullet", count, code), played),
     "files": (10_000, file_tasks, read),
     "stops": (20, stop_tasks, stopped),
+    "caches": (3, cache_tasks, compiled),
     "bugs": (len(BUGS), bug_tasks, planted),
 }
 """How often each part tries, at length; its tasks, and what does one."""

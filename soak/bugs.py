@@ -73,6 +73,9 @@ BUGS: Mapping[str, Bug] = {
         "if gap != 0.0:\n            force[bed",
         FEM,
     ),
+    "a pad that pulls": Bug(
+        "retract_env/fem/contact.py", "force[p] -= push * tx", "force[p] += push * tx", FEM
+    ),
     "friction from one jaw only": Bug(
         "retract_env/objectives.py",
         "friction = float(np.max(required_friction))",

@@ -160,23 +160,6 @@ def test_kernels_on_disk_are_loaded_without_the_compiler(tmp_path: Path) -> None
     assert said == [["False", "False", "True"], ["True", "False", "False"]]
 
 
-AT_ONCE = 3
-
-
-def test_processes_that_compile_at_the_same_time_leave_whole_kernels(tmp_path: Path) -> None:
-    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(ROOT)}
-    script = LOADED + "print(SpringModel(tissue).k_eq(np.linspace(-0.05, -0.001, 50)).tobytes().hex())"
-    command = [sys.executable, "-c", script]
-    at_once = [
-        subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) for _ in range(AT_ONCE)
-    ]
-    said = [process.communicate()[0].split() for process in at_once]
-    assert all(process.returncode == 0 for process in at_once)
-    last = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.split()
-    assert last[0] == "True"  # it found them
-    assert {words[-1] for words in [*said, last]} == {last[-1]}
-
-
 def test_whoever_waits_is_told_once(
     caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -18,6 +18,7 @@ from retract_env.errors import SceneError
 from retract_env.scene import Scene
 from soak.__main__ import main
 from soak.bugs import BUGS
+from soak.caches import compiled
 from soak.damaged import READERS, damage, read
 from soak.episodes import played
 from soak.interruptions import COMMANDS, _half_written, stopped
@@ -117,6 +118,10 @@ def died(_: Any) -> dict[str, Any]:
 def test_what_may_not_happen_is_told(work: Any, limit: float, outcome: str) -> None:
     found = apart(work, {}, limit)
     assert found["outcome"] == outcome in WRONG
+
+
+def test_processes_that_compile_at_the_same_time_leave_whole_kernels() -> None:
+    assert compiled({"processes": 3}) == {"outcome": "same"}
 
 
 def test_half_a_file_is_found(tmp_path: Path) -> None:
