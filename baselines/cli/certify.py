@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -40,6 +41,10 @@ def certify_command(
     ] = None,
     verify: VerifyOption = False,
     robust: RobustOption = False,
+    speed: Annotated[
+        float | None,
+        typer.Option(help="m/s, mean, of the jaws: say also what the motion comes to in time, with inertia."),
+    ] = None,
     out: Annotated[
         Path | None, typer.Option(help="File for the certificate, in JSON; worst cases are put beside it.")
     ] = None,
@@ -54,10 +59,13 @@ def certify_command(
     """Simulate the retraction of a plan and judge it."""
     clock = Clock()
     with exit_codes(), ExitStack() as stack:
-        if check is not None and (out is not None or verify or robust or resolution is not None):
+        if check is not None and any((out, verify, robust, speed, resolution)):
             raise BadInput(
-                "--check: not with --out, --verify, --robust or --resolution, the certificate has its own"
+                "--check: not with --out, --verify, --robust, --speed or --resolution, "
+                "the certificate has its own"
             )
+        if speed is not None and not 0 < speed < math.inf:
+            raise BadInput(f"--speed = {speed:g}, allowed above 0 m/s")
         with clock.phase("imports"):
             import planners
             from baselines.cli.progress import Under
@@ -73,8 +81,10 @@ def certify_command(
             try:
                 mesh = resolution or "fine" if said is None else said.mesh["resolution"]
                 verify = verify if said is None else said.verification is not None
+                if said is not None and said.moving is not None:
+                    speed = said.moving["speed"]
                 certificate = planners.certify(
-                    scene, grasp, path, resolution=mesh, verify=verify, on_increment=under.step
+                    scene, grasp, path, mesh, verify, on_increment=under.step, speed=speed
                 )
             except MeshError as problem:
                 raise NotCertified(f"not certified: {problem}") from None

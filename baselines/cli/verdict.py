@@ -3,6 +3,7 @@ asked for."""
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -70,6 +71,8 @@ def report(certificate: Certificate) -> None:
         typer.echo(said)
     if certificate.verification is not None:
         _report_finer(certificate.verification)
+    if certificate.moving is not None:
+        typer.echo(_made(certificate.moving))
     for line in told(certificate):
         typer.echo(line)
 
@@ -78,6 +81,17 @@ def check_robust(certificate: Certificate) -> None:
     """Raise NotCertified where the robust statement does not hold."""
     if certificate.robust is not None and not certificate.robust["holds"]:
         raise NotCertified("certified as the scene says, but not robust")
+
+
+def _made(moving: Mapping[str, Any]) -> str:
+    """What the motion comes to in time, on one line."""
+    how = f"at {moving['speed'] * MM:g} mm/s, in {moving['duration']:.2f} s, from a {moving['start']} start"
+    if math.isinf(moving["max_strain"]):
+        return f"{how}: no solution was found"
+    return (
+        f"{how}: strain {moving['max_strain']:.3f}, friction {moving['required_friction']:.2f}, "
+        f"clearance {moving['clearance'] * MM:.2f} mm at least once the jaws stand still"
+    )
 
 
 def _report_finer(finer: Mapping[str, Any]) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 from baselines.jobs.journal import Row
 from baselines.verification.solution import CASES, WIDE, until_certified
 from planners.certify import certify
+from planners.certify.moving import moving, way_long
 from retract_env.scene import Scene
 
 BASES = ("homogeneous, CTC", "eased, light grip")
@@ -24,6 +25,10 @@ CHANGES: Mapping[str, Mapping[str, Any]] = {
     "weight 10 % more": {"tissue": {"density": 1100.0}},
 }
 """What is changed of a scene: fields of its parts, or its own."""
+
+
+TIMES = (2.0, 1.0, 0.5, 0.25)
+"""s, from rest to rest, in which motions are made that certificates know no time of."""
 
 
 def freed(scene: Scene) -> Scene:
@@ -48,4 +53,20 @@ def with_change(resolution: str, case: str, change: str) -> Row:
         "max_strain": found.max_strain,
         "required_friction": found.required_friction,
         "clearance": found.clearance,
+    }
+
+
+def in_time(resolution: str, case: str, seconds: float) -> Row:
+    """What a case comes to with inertia, smoothly made in so many s, and what its certificate states."""
+    scene, path = until_certified(case)
+    plain = certify(freed(scene), CASES[case].grasp, path, resolution)
+    speed = way_long(plain.frames) / seconds
+    found = moving(scene, plain.frames, speed, resolution)
+    return {
+        "speed": speed,
+        "max_strain": found.max_strain,
+        "required_friction": found.required_friction,
+        "clearance": found.clearance,
+        "strain_slow": plain.max_strain,
+        "friction_slow": plain.required_friction,
     }

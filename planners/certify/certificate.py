@@ -18,7 +18,7 @@ FAILURES = tuple(reason for reason in REASONS if reason != "ok")
 """Those of retractions that are not certified."""
 ADDED = ("peaks", "clearance_limit")
 """Fields that certificates have had since version 0.2; older ones are read as they are."""
-LATER = ("margins", "robust")
+LATER = ("margins", "robust", "moving")
 """Fields that certificates have had since somewhat later, each where it says something."""
 MESH_ERRORS = {
     "fine": {"strain": 0.013, "friction": 0.008, "normal_force": 0.031, "place": 9.1e-5},
@@ -67,6 +67,9 @@ class Certificate:
     robust: dict[str, Any] | None = None
     """what is said of flaps that are not quite as the scene says (`planners.certify.robust`); None unless
     asked for"""
+    moving: dict[str, Any] | None = None
+    """what the same motion of the jaws comes to at a speed (`planners.certify.moving`); None unless asked
+    for"""
     frames: tuple[TissueState, ...] = field(default=(), repr=False, compare=False)
     section: SectionMesh | None = field(default=None, repr=False, compare=False)
 
@@ -104,7 +107,7 @@ class Certificate:
             raise ValueError("certificate: allowed finite numbers") from None
         if hashlib.sha256(text.encode()).hexdigest() != data["hash"]:
             raise ValueError("certificate: its content does not match its hash")
-        numbers = ("required_friction", "history", "verification", "robust")
+        numbers = ("required_friction", "history", "verification", "robust", "moving")
         return cls(**content | {name: _numbers(content[name]) for name in numbers if name in content})
 
 

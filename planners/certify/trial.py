@@ -9,10 +9,11 @@ from __future__ import annotations
 import math
 import reprlib
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 from planners.certify.certificate import MESH_ERRORS, PATCH_SLIP, REASONS, Certificate
+from planners.certify.moving import Start, moving
 from planners.certify.retraction import FRICTION_TOLERANCE, STRAIN_TOLERANCE, Retraction
 from planners.certify.robust import OnJudged, Robust, statement
 from retract_env.grasp import Grasp, JawPath
@@ -96,14 +97,16 @@ def certify(
     verify: bool = False,
     on_increment: Callable[[], None] = lambda: None,
     robust: Robust | bool = False,
+    speed: float | None = None,
 ) -> Certificate:
     """Simulate one retraction and judge it.
 
     resolution: a name in RESOLUTIONS; verify: repeat it on a finer mesh in `VERIFIED_IN` times as many
     increments and report the differences; robust: say also how likely the plan fails where the scene is not
-    quite what it says, with `Robust()` or as asked.
-    Raises ValueError for a grasp off the flap, a path that does not begin there, or an unknown resolution,
-    and its kind MeshError where the flap with jaws there cannot be meshed.
+    quite what it says, with `Robust()` or as asked; speed: m/s, say also what the motion comes to where it is
+    made at this mean speed, smoothly, with inertia.
+    Raises ValueError for a grasp off the flap, a path that does not begin there, an unknown resolution, or no
+    speed, and its kind MeshError where the flap with jaws there cannot be meshed.
     """
     trial = Trial(scene, grasp, path, resolution)
     if verify and resolution not in FINER:
@@ -115,6 +118,8 @@ def certify(
     certificate = trial.certificate()
     if verify:
         certificate = verified(certificate, scene, grasp, path)
+    if speed is not None:
+        certificate = timed(certificate, scene, speed, on_increment=on_increment)
     return stated(certificate, scene, grasp, path, robust, on_increment) if robust else certificate
 
 
@@ -131,6 +136,24 @@ def stated(
     asked = asked if isinstance(asked, Robust) else Robust()
     said = statement(scene, grasp, path, certificate, asked, on_increment, on_judged)
     return replace(certificate, robust=said)
+
+
+def timed(
+    certificate: Certificate,
+    scene: Scene,
+    speed: float,
+    start: Start = "smooth",
+    on_increment: Callable[[], None] = lambda: None,
+) -> Certificate:
+    """The certificate with what its motion comes to at a mean speed, m/s, where there is a motion.
+
+    certificate: as computed here, with its frames.
+    """
+    if sum(frame.progress >= 1 for frame in certificate.frames) < 2:  # a limit broke as the jaws closed
+        return certificate
+    resolution = certificate.mesh["resolution"]
+    found = moving(scene, certificate.frames, speed, resolution, start, on_increment=on_increment)
+    return replace(certificate, moving=asdict(found))
 
 
 def verified(certificate: Certificate, scene: Scene, grasp: Grasp, path: JawPath) -> Certificate:

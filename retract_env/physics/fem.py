@@ -80,6 +80,7 @@ class FemPhysics:
     """
 
     resolutions: ClassVar[tuple[str, ...]] = tuple(RESOLUTIONS)
+    flap: ClassVar[type[FlapModel]] = FlapModel
 
     def __init__(
         self,
@@ -103,7 +104,7 @@ class FemPhysics:
         self.section = self._meshed()
         self.seconds["mesh"] = time.perf_counter() - start
         start = time.perf_counter()
-        self.model = FlapModel(scene, self.section, jaw_x, resolution)
+        self.model = self.flap(scene, self.section, jaw_x, resolution)
         self._beam = BeamGuess(self.model.prism, scene, jaw_x)
         self.equilibrium = Equilibrium(self.model)
         # every layer has one element over each triangle of the section

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from baselines.jobs.journal import Row
 from baselines.paper.experiments import Experiment
 from baselines.paper.study import Claim, Report, Study, new_figure, number
-from baselines.verification.assumptions import BASES, CHANGES, with_change
+from baselines.verification.assumptions import BASES, CHANGES, TIMES, in_time, with_change
 from baselines.verification.code import CHECKS
 from baselines.verification.solution import (
     CASES,
@@ -48,7 +48,12 @@ def _experiments() -> list[Experiment]:
         for case in BASES
         for change in CHANGES
     ]
-    return [*checks, *solution, *assumed]
+    timed = [
+        Experiment(in_time, {"case": case, "seconds": s}, {"group": "time", "what": case, "seconds": s})
+        for case in BASES
+        for s in TIMES
+    ]
+    return [*checks, *solution, *assumed, *timed]
 
 
 def _report(rows: Sequence[Row]) -> Report:
@@ -60,7 +65,13 @@ def _report(rows: Sequence[Row]) -> Report:
         for case in dict.fromkeys(row["what"] for row in rows if row["group"] == "solution")
     }
     model = [row for row in rows if row["group"] == "model"]
-    table = [*map(_check_line, checks), *_solution_lines(cases), *_model_lines(model)]
+    times = [row for row in rows if row["group"] == "time"]
+    table = [
+        *map(_check_line, checks),
+        *_solution_lines(cases),
+        *_model_lines(model),
+        *[line for row in times for line in _time_lines(row)],
+    ]
     figure = new_figure(11.0, 3.8)
     panels = figure.subplots(1, 3)
     for axes, quantity in zip(panels, QUANTITIES, strict=True):
@@ -91,11 +102,12 @@ def _report(rows: Sequence[Row]) -> Report:
         "Are the equations solved right? *Code*: closed forms, rates of convergence and laws, each with a "
         "tolerance. *Solution*: eight certified retractions, followed to the same place on three meshes, "
         "each with triangles half as large as the one before, and how far `fine`, the mesh of certificates, "
-        "is off the limit of these. *Model*: the same motions of the jaws with one assumption changed.",
+        "is off the limit of these. *Model*: the same motions of the jaws with one assumption changed, and "
+        "in time, with inertia.",
         table,
         figure,
         claims,
-        [_code_text(checks), _solution_text(cases), _model_text(model)],
+        [_code_text(checks), _solution_text(cases), _model_text(model), _time_text(times)],
     )
 
 
@@ -143,6 +155,21 @@ def _model_lines(rows: Sequence[Row]) -> list[dict[str, object]]:
             _line("model", f"{row['what']}, {row['change']}: eps_max, relative", strain),
             _line("model", f"{row['what']}, {row['change']}: friction", friction),
         )
+    ]
+
+
+def _in_time(row: Row) -> tuple[float, float]:
+    """Strain over that of the certificate, less 1; change of friction."""
+    strain = number(row["max_strain"]) / number(row["strain_slow"]) - 1
+    return strain, number(row["required_friction"]) - number(row["friction_slow"])
+
+
+def _time_lines(row: Row) -> list[dict[str, object]]:
+    what, (strain, friction) = f"{row['what']}, in {number(row['seconds']):g} s", _in_time(row)
+    return [
+        _line("model", f"{what}: eps_max, relative", strain),
+        _line("model", f"{what}: friction", friction),
+        _line("model", f"{what}: clearance once the jaws stand still", number(row["clearance"]), "m"),
     ]
 
 
@@ -195,6 +222,25 @@ def _model_text(rows: Sequence[Row]) -> str:
     lines = ["## Model", "", "| retraction | assumption | eps_max | friction |", "| --- | --- | --- | --- |"]
     for row, strain, friction in _changes(rows):
         lines.append(f"| {row['what']} | {row['change']} | {100 * strain:+.1f} % | {friction:+.3f} |")
+    return "\n".join(lines)
+
+
+def _time_text(rows: Sequence[Row]) -> str:
+    lines = [
+        "### In time",
+        "",
+        "Smoothly from rest to rest, with inertia, the free end's first vibration damped by a twentieth of "
+        "the critical.",
+        "",
+        "| retraction | s | mean speed, mm/s | eps_max | friction | clearance afterwards, mm |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
+    for row in rows:
+        strain, friction = _in_time(row)
+        lines.append(
+            f"| {row['what']} | {number(row['seconds']):g} | {1e3 * number(row['speed']):.0f} | "
+            f"{100 * strain:+.1f} % | {friction:+.3f} | {1e3 * number(row['clearance']):+.2f} |"
+        )
     return "\n".join(lines)
 
 

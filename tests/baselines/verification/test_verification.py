@@ -12,7 +12,7 @@ import pytest
 from baselines.paper.studies import study
 from baselines.paper.study import page
 from baselines.verification import code
-from baselines.verification.assumptions import CHANGES, changed
+from baselines.verification.assumptions import CHANGES, TIMES, changed
 from baselines.verification.code import CHECKS
 from baselines.verification.flaps import HEIGHT, flap, square_vein
 from baselines.verification.solution import (
@@ -83,7 +83,7 @@ def test_every_experiment_goes_through_json() -> None:
     experiments = study("verification").experiments()
     works = [json.dumps(one.work("fine"), sort_keys=True) for one in experiments]
     assert len(set(works)) == len(works)
-    assert len(works) == len(CHECKS) + len(CASES) * (len(SPLITS) + 1) + 2 * len(CHANGES)
+    assert len(works) == len(CHECKS) + len(CASES) * (len(SPLITS) + 1) + 2 * len(CHANGES) + 2 * len(TIMES)
 
 
 def rows(off: float) -> list[dict[str, Any]]:
@@ -100,6 +100,7 @@ def rows(off: float) -> list[dict[str, Any]]:
             )
             row = {"reason": "not_visible", "unknowns": 1000, "length": 0.05}
             row |= dict.fromkeys(QUANTITIES, 0.3 * (1 + part))
+            row |= {"speed": 0.01, "strain_slow": 0.3, "friction_slow": 0.3}
         out.append({**label, **row})
     return out
 
