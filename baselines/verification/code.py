@@ -183,7 +183,8 @@ def energy_balance(resolution: str) -> Row:
     """What the jaws do along a retraction, over what the flap's potential energy has grown, less 1.
 
     The work is summed over increments by the trapezoidal rule. A grip that is no firmer than friction asks
-    for: firmer ones fold the surface at a jaw's edge, which snaps and loses energy.
+    for, and three quarters of the path: firmer ones, and jaws that bend the flap sharply in the end, fold the
+    surface at a jaw's edge, which snaps and loses energy.
     """
     scene, grasp = flap(), Grasp(-0.035, 0.12 * HEIGHT)
     path = ctc(scene, grasp)
@@ -192,7 +193,7 @@ def energy_balance(resolution: str) -> Row:
     begin = physics.model.residual(physics.displacements)[0]
     work, before = 0.0, physics.displacements
     force = physics.model.residual(before)[1]
-    for progress in np.concatenate([np.linspace(0, 1, 17)[1:], np.linspace(1, path.last, 97)[1:]]):
+    for progress in np.concatenate([np.linspace(0, 1, 17)[1:], np.linspace(1, path.last, 97)[1:73]]):
         physics.move_to(path.pose_at(float(progress)), float(progress))
         after = physics.displacements
         pulled = physics.model.residual(after)[1]
