@@ -27,7 +27,8 @@ STEP = 2e-3
 """s; a flap's free end, which vibrates slowest, does so 14 to 19 times a second."""
 DAMPING = 0.05
 """Over the critical. That is little for soft tissue, and what is damped less needs more friction."""
-LEAST_STEPS = 50
+LEAST_STEPS, MOST_STEPS = 50, 1500
+"""Of a motion; one that takes longer than the latter resolve leaves nothing to vibrate."""
 AFTERWARDS = 0.1
 """s, that the jaws are then held still, and the tissue is still looked at."""
 
@@ -58,7 +59,8 @@ def law(start: Start, part: float) -> float:
 
 def way_long(frames: Sequence[TissueState]) -> float:
     """m, that the point between the jaws goes once they are closed."""
-    return float(_made(np.array([to_pose(f.jaws) for f in frames if f.progress >= 1]))[-1])
+    poses = [to_pose(f.jaws) for f in frames if f.progress >= 1]
+    return float(_made(np.array(poses))[-1]) if poses else 0.0
 
 
 def _made(poses: Array) -> Array:
@@ -78,46 +80,50 @@ def moving(
     """Make the motion of a certificate's frames at a mean speed, m/s.
 
     Where it cannot be solved strain and friction are infinite. Raises ValueError for a speed that is none, or
-    frames without a motion.
+    frames whose jaws go nowhere.
     """
     from scipy.interpolate import CubicSpline
 
     if not (np.isfinite(speed) and speed > 0):
         raise ValueError(f"speed = {speed:g} m/s, allowed above 0")
+    if way_long(frames) == 0:
+        raise ValueError("frames: no motion, allowed those of a certificate whose jaws have gone somewhere")
     kept = [f for f in frames if f.progress >= 1]
-    if len(kept) < 2:
-        raise ValueError("frames: no motion, allowed those of a certificate whose jaws have moved")
-    poses = np.array([to_pose(f.jaws) for f in kept])
+    poses, at = np.array([to_pose(f.jaws) for f in kept]), [f.progress for f in kept]
     poses[:, 2] = np.unwrap(poses[:, 2])
-    at = np.array([f.progress for f in kept])
     made = _made(poses)
     duration, made = made[-1] / speed, made / made[-1]
     distinct = np.concatenate([[True], np.diff(made) > 1e-9])
     way = CubicSpline(made[distinct], poses[distinct])  # without corners, which would be shocks
 
-    jaw_x = float(frames[0].jaws[0])
-    physics = MovingFem(scene, jaw_x, resolution)
+    count = round(min(max(duration / STEP, LEAST_STEPS), MOST_STEPS))
+    steps = [duration / count] * count + [STEP] * round(AFTERWARDS / STEP)
+    states = []
+    try:
+        physics = _closed(scene, to_pose(frames[0].jaws), poses[0], resolution)
+        physics.begin(damping)
+        states.append(physics.state())
+        for k, step in enumerate(steps, 1):
+            part = law(start, k / count)
+            states.append(physics.advance(way(part), step, float(np.interp(part, made, at))))
+            on_increment()
+    except Diverged:
+        return Moving(speed, start, damping, duration, np.inf, np.inf, -np.inf)
+    return Moving(
+        speed,
+        start,
+        damping,
+        duration,
+        max(state.worst_strain for state in states),
+        max(float(state.required_friction.max()) for state in states),
+        min(state.clearance for state in states[count:]),
+    )
+
+
+def _closed(scene: Scene, opened: Array, closed: Array, resolution: str) -> MovingFem:
+    """The flap at rest between jaws that have closed from one pose (4,) to another."""
+    physics = MovingFem(scene, float(opened[0]), resolution)
     physics.reset()
-    opened = to_pose(frames[0].jaws)
-    for k in range(1, SQUEEZE_INCREMENTS + 1):
-        part = k / SQUEEZE_INCREMENTS
-        physics.move_to(opened + part * (poses[0] - opened), part)
-    physics.begin(damping)
-    count = max(LEAST_STEPS, round(duration / STEP))
-    step = duration / count
-    state = physics.state()
-    strain, friction = state.worst_strain, float(state.required_friction.max())
-    clearance = np.inf
-    for k in range(1, count + round(AFTERWARDS / step) + 1):
-        part = law(start, k / count)
-        try:
-            state = physics.advance(way(part), step, float(np.interp(part, made, at)))
-        except Diverged:
-            strain, friction, clearance = np.inf, np.inf, -np.inf
-            break
-        strain = max(strain, state.worst_strain)
-        friction = max(friction, float(state.required_friction.max()))
-        if k >= count:
-            clearance = min(clearance, state.clearance)
-        on_increment()
-    return Moving(speed, start, damping, duration, strain, friction, clearance)
+    for part in np.linspace(0, 1, SQUEEZE_INCREMENTS + 1)[1:]:
+        physics.move_to(opened + part * (closed - opened), float(part))
+    return physics

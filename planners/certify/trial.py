@@ -13,7 +13,7 @@ from dataclasses import asdict, replace
 from typing import Any
 
 from planners.certify.certificate import MESH_ERRORS, PATCH_SLIP, REASONS, Certificate
-from planners.certify.moving import Start, moving
+from planners.certify.moving import Start, moving, way_long
 from planners.certify.retraction import FRICTION_TOLERANCE, STRAIN_TOLERANCE, Retraction
 from planners.certify.robust import OnJudged, Robust, statement
 from retract_env.grasp import Grasp, JawPath
@@ -149,7 +149,7 @@ def timed(
 
     certificate: as computed here, with its frames.
     """
-    if sum(frame.progress >= 1 for frame in certificate.frames) < 2:  # a limit broke as the jaws closed
+    if way_long(certificate.frames) == 0:  # a limit broke as the jaws closed, or they go nowhere
         return certificate
     resolution = certificate.mesh["resolution"]
     found = moving(scene, certificate.frames, speed, resolution, start, on_increment=on_increment)

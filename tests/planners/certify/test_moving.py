@@ -61,3 +61,20 @@ def test_a_certificate_says_it_and_is_read_again() -> None:
 def test_what_is_no_speed_is_refused(speed: float) -> None:
     with pytest.raises(ValueError, match=r"speed = .* m/s, allowed above 0"):
         moving(a_scene(), retraction(a_scene()).frames, speed, "coarse")
+
+
+def test_jaws_that_go_nowhere_are_refused() -> None:
+    still = certify(a_scene(), a_grasp(), poses(a_grasp()), "coarse")
+    with pytest.raises(ValueError, match="frames: no motion"):
+        moving(a_scene(), still.frames, 0.05, "coarse")
+
+
+@pytest.mark.parametrize("speed", [1e-5, 1e5])
+def test_speeds_out_of_all_reason_end(speed: float) -> None:
+    """So slow that it is the certificate, and so fast that nothing holds."""
+    certificate = retraction(a_scene())
+    found = moving(a_scene(), certificate.frames, speed, "coarse")
+    if speed < 1:
+        assert found.required_friction == pytest.approx(certificate.required_friction, abs=3e-3)
+    else:
+        assert found.max_strain > 1
