@@ -11,6 +11,7 @@ import stat
 import tempfile
 from functools import cache
 from pathlib import Path
+from types import FunctionType
 from typing import Any
 
 _PACKAGE = Path(__file__).parent
@@ -31,12 +32,12 @@ def forget_old() -> None:
     state = "".join(f"{path} {path.stat().st_mtime_ns} {path.stat().st_size}\n" for path in sources)
     stamp = hashlib.sha256(state.encode()).hexdigest()
     one_of_each = {path.parent: path for path in sources}
-    if _kept_in(one_of_each[_PACKAGE]) is None:
-        _keep_in_temporary_folder()
     folders = {folder: _kept_in(path) for folder, path in one_of_each.items()}
+    if None in folders.values():
+        _keep_in_temporary_folder()
+        folders = {folder: _kept_in(path) for folder, path in one_of_each.items()}
     kept = folders[_PACKAGE]
-    if kept is None:  # numba will say so
-        return
+    assert kept is not None
     with contextlib.suppress(OSError):
         file = kept / "kernels.stamp"
         if file.exists() and file.read_text("utf-8") == stamp:
@@ -73,12 +74,14 @@ def _load_without_compiler() -> None:
 
 def _kept_in(source: Path) -> Path | None:
     """The folder where numba keeps the kernels of a source, which it can write to; None without one."""
-    from numba.core.caching import CacheImpl
+    from numba.core.caching import FunctionCache
 
-    for locator in CacheImpl._locator_classes:  # numba has no public way to ask
-        if found := locator.from_function(_kept_in, str(source)):
-            return Path(found.get_cache_path())
-    return None
+    # numba has no public way to ask where: it says so of a function of that source
+    code = compile("def kernel(): ...", str(source), "exec").co_consts[0]
+    try:
+        return Path(FunctionCache(FunctionType(code, {})).cache_path)
+    except RuntimeError:
+        return None
 
 
 def _keep_in_temporary_folder() -> None:

@@ -20,8 +20,8 @@ WORST_FRACTION = 0.01
 
 
 IN_BLOCK = 0.02
-"""Part of the height that tissue has to be inside the fixed block to count. The block's push is a penalty, by
-which a flap sinks in by a quarter of this at most where it lies on it under its own weight."""
+"""Part of the height that tissue has to be inside the fixed block to count. The block's push is a penalty;
+flaps like the paper's that come to lie on it sink in by half a hundredth. PyBullet knows no block."""
 
 
 def strain(stretches: ArrayLike) -> Array:

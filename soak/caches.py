@@ -48,13 +48,12 @@ def compiled(task: WorkItem) -> Row:
             for process in begun:
                 process.kill()
                 process.wait()
-        later = _begin(environment)
-        said.append(later.communicate(timeout=LONGEST))
-    failed = [
-        errors for process, (_, errors) in zip([*begun, later], said, strict=True) if process.returncode
-    ]
-    if failed:
-        return {"outcome": "raised", "detail": failed[0].strip().splitlines()[-1]}
+        begun.append(_begin(environment))
+        said.append(begun[-1].communicate())
+    for process, (_, errors) in zip(begun, said, strict=True):
+        if process.returncode:
+            how = errors.strip().splitlines() or [f"exit code {process.returncode}"]
+            return {"outcome": "raised", "detail": how[-1]}
     words = [out.split() for out, _ in said]
     if len({found for _, found in words}) > 1:
         return {"outcome": "unsound", "detail": "not all processes find the same"}

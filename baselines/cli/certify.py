@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -64,11 +63,11 @@ def certify_command(
                 "--check: not with --out, --verify, --robust, --speed or --resolution, "
                 "the certificate has its own"
             )
-        if speed is not None and not 0 < speed < math.inf:
-            raise BadInput(f"--speed = {speed:g}, allowed above 0 m/s")
+
         with clock.phase("imports"):
             import planners
             from baselines.cli.progress import Under
+            from planners.certify import timed
             from retract_env.errors import MeshError
         scene, grasp, path = read_plan(plan_file)
         said = None if check is None else read_certificate(check)
@@ -76,16 +75,15 @@ def certify_command(
             stack.enter_context(usable_folder(out.parent))
             check_no_folder(out)
         asked = _asked(str(check), said, robust)
+        motion = _in_time(str(check), said, scene, speed)
         announce_compilation("fem", *(["planning"] if asked else []))
         with clock.phase("simulation"), Under("simulation") as under:
             try:
                 mesh = resolution or "fine" if said is None else said.mesh["resolution"]
                 verify = verify if said is None else said.verification is not None
-                if said is not None and said.moving is not None:
-                    speed = said.moving["speed"]
-                certificate = planners.certify(
-                    scene, grasp, path, mesh, verify, on_increment=under.step, speed=speed
-                )
+                certificate = planners.certify(scene, grasp, path, mesh, verify, under.step)
+                if motion and (said is not None or certificate.certified):
+                    certificate = timed(certificate, scene, **motion, on_increment=under.step)
             except MeshError as problem:
                 raise NotCertified(f"not certified: {problem}") from None
         if asked and (said is not None or certificate.certified):
@@ -127,6 +125,28 @@ def _asked(file: str, said: Certificate | None, robust: bool) -> Robust | None:
         return Robust(*(said.robust[name] for name in ("eps", "beta", "samples", "seed")))
     except (KeyError, TypeError, ValueError) as problem:
         raise BadInput(f"{file}: certificate.robust: {problem}") from None
+
+
+def _in_time(file: str, said: Certificate | None, scene: Scene, speed: float | None) -> dict[str, Any]:
+    """How the motion is to be made in time, arguments of `timed`: as a certificate says, where there is one
+    to check; none where it is not asked for.
+
+    Raises BadInput.
+    """
+    from planners.certify.moving import check_motion
+
+    made: dict[str, Any] = {}
+    try:
+        if said is None and speed is not None:
+            made = {"speed": speed}
+        elif said is not None and said.moving is not None:
+            made = {name: said.moving[name] for name in ("speed", "start", "damping")}
+        if made:
+            check_motion(scene, **made)
+    except (KeyError, TypeError, ValueError) as problem:
+        what = "--speed" if said is None else f"{file}: certificate.moving"
+        raise BadInput(f"{what}: {problem}") from None
+    return made
 
 
 def _compare(file: str, said: Certificate, found: Certificate) -> None:

@@ -72,7 +72,7 @@ def report(certificate: Certificate) -> None:
     if certificate.verification is not None:
         _report_finer(certificate.verification)
     if certificate.moving is not None:
-        typer.echo(_made(certificate.moving))
+        typer.echo(_in_time(certificate.moving))
     for line in told(certificate):
         typer.echo(line)
 
@@ -83,14 +83,15 @@ def check_robust(certificate: Certificate) -> None:
         raise NotCertified("certified as the scene says, but not robust")
 
 
-def _made(moving: Mapping[str, Any]) -> str:
+def _in_time(moving: Mapping[str, Any]) -> str:
     """What the motion comes to in time, on one line."""
-    how = f"at {moving['speed'] * MM:g} mm/s, in {moving['duration']:.2f} s, from a {moving['start']} start"
+    how = f"at {moving['speed'] * MM:g} mm/s, in {moving['duration']:.3g} s, from a {moving['start']} start"
     if math.isinf(moving["max_strain"]):
         return f"{how}: no solution was found"
     return (
         f"{how}: strain {moving['max_strain']:.3f}, friction {moving['required_friction']:.2f}, "
         f"clearance {moving['clearance'] * MM:.2f} mm at least once the jaws stand still"
+        + (", but tissue runs into itself or the fixed block" if moving["overlap"] else "")
     )
 
 

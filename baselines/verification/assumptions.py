@@ -8,7 +8,7 @@ from typing import Any
 from baselines.jobs.journal import Row
 from baselines.verification.solution import CASES, WIDE, until_certified
 from planners.certify import certify
-from planners.certify.moving import moving, way_long
+from planners.certify.moving import Start, moving, way_long
 from retract_env.scene import Scene
 
 BASES = ("homogeneous, CTC", "eased, light grip")
@@ -27,8 +27,14 @@ CHANGES: Mapping[str, Mapping[str, Any]] = {
 """What is changed of a scene: fields of its parts, or its own."""
 
 
-TIMES = (2.0, 1.0, 0.5, 0.25)
-"""s, from rest to rest, in which motions are made that certificates know no time of."""
+MOTIONS: tuple[tuple[float, Start], ...] = (
+    (2.0, "smooth"),
+    (1.0, "smooth"),
+    (0.5, "smooth"),
+    (0.25, "smooth"),
+    (1.0, "sudden"),
+)
+"""In how many s, and how begun, motions are made that certificates know no time of."""
 
 
 def freed(scene: Scene) -> Scene:
@@ -56,12 +62,12 @@ def with_change(resolution: str, case: str, change: str) -> Row:
     }
 
 
-def in_time(resolution: str, case: str, seconds: float) -> Row:
-    """What a case comes to with inertia, smoothly made in so many s, and what its certificate states."""
+def in_time(resolution: str, case: str, seconds: float, start: Start) -> Row:
+    """What a case comes to with inertia, made in so many s, and what its certificate states."""
     scene, path = until_certified(case)
     plain = certify(freed(scene), CASES[case].grasp, path, resolution)
     speed = way_long(plain.frames) / seconds
-    found = moving(scene, plain.frames, speed, resolution)
+    found = moving(scene, plain.frames, speed, resolution, start)
     return {
         "speed": speed,
         "max_strain": found.max_strain,

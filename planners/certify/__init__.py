@@ -3,7 +3,7 @@
 from planners.certify.certificate import FAILURES, REASONS, Certificate
 from planners.certify.retraction import Closed, Retraction
 from planners.certify.robust import Robust
-from planners.certify.trial import Trial, certify, differences, stated, verified
+from planners.certify.trial import Trial, certify, differences, stated, timed, verified
 
 __all__ = [
     "FAILURES",
@@ -16,5 +16,6 @@ __all__ = [
     "certify",
     "differences",
     "stated",
+    "timed",
     "verified",
 ]

@@ -13,7 +13,7 @@ from dataclasses import asdict, replace
 from typing import Any
 
 from planners.certify.certificate import MESH_ERRORS, PATCH_SLIP, REASONS, Certificate
-from planners.certify.moving import Start, moving, way_long
+from planners.certify.moving import DAMPING, NOWHERE, Start, check_motion, moving, way_long
 from planners.certify.retraction import FRICTION_TOLERANCE, STRAIN_TOLERANCE, Retraction
 from planners.certify.robust import OnJudged, Robust, statement
 from retract_env.grasp import Grasp, JawPath
@@ -109,6 +109,8 @@ def certify(
     speed, and its kind MeshError where the flap with jaws there cannot be meshed.
     """
     trial = Trial(scene, grasp, path, resolution)
+    if speed is not None:
+        check_motion(scene, speed)
     if verify and resolution not in FINER:
         raise ValueError(
             f"resolution = {resolution!r} has no finer one to verify with, allowed {', '.join(FINER)}"
@@ -143,16 +145,18 @@ def timed(
     scene: Scene,
     speed: float,
     start: Start = "smooth",
+    damping: float = DAMPING,
     on_increment: Callable[[], None] = lambda: None,
 ) -> Certificate:
     """The certificate with what its motion comes to at a mean speed, m/s, where there is a motion.
 
-    certificate: as computed here, with its frames.
+    certificate: as computed here, with its frames. Raises ValueError as `moving.check_motion`.
     """
-    if way_long(certificate.frames) == 0:  # a limit broke as the jaws closed, or they go nowhere
+    check_motion(scene, speed, start, damping)
+    if way_long(certificate.frames) < NOWHERE:  # a limit broke as the jaws closed, or they go nowhere
         return certificate
     resolution = certificate.mesh["resolution"]
-    found = moving(scene, certificate.frames, speed, resolution, start, on_increment=on_increment)
+    found = moving(scene, certificate.frames, speed, resolution, start, damping, on_increment)
     return replace(certificate, moving=asdict(found))
 
 

@@ -77,7 +77,7 @@ class Motion:
         self.velocity, self.acceleration = np.zeros((2, model.prism.size))
         self._mass = model.mass
 
-    def carry_on(self, u: Array, step: float) -> Array:
+    def predict(self, u: Array, step: float) -> Array:
         """Prepare the model for a step of so many s from u (n,) m; returns where it leads to without any
         change of acceleration."""
         inert, dragged = BETA * step**2, 1 + self.drag * GAMMA * step

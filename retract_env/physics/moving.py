@@ -16,8 +16,8 @@ from retract_env.physics.fem import FemPhysics
 
 Array = NDArray[np.float64]
 
-CANTILEVER = 1.8751040687**2
-"""First root of cos x cosh x = -1, squared."""
+CANTILEVER, CLAMPED = 1.8751040687**2, 4.7300407449**2
+"""First roots, squared, of cos x cosh x = -1 and 1: beams that are held at one end, and at both."""
 SHORTEST_STEP = 1 / 16
 """Part of a step of time below which it is not cut any further."""
 
@@ -27,16 +27,24 @@ class MovingFem(FemPhysics):
 
     flap: ClassVar[type[FlapModel]] = MovingFlap
 
+    @property
+    def period(self) -> float:
+        """s, of the slowest vibration, of straight beams without veins: the part that hangs free, held by the
+        jaws, or the one between jaws and fixed end. Some 20 % off for bent ones."""
+        tissue = self.scene.tissue
+        free, inner = max(tissue.length + self.jaw_x, tissue.height), max(-self.jaw_x, tissue.height)
+        beam = np.sqrt(tissue.modulus / (12 * tissue.density)) * tissue.height
+        return float(2 * np.pi / (beam * min(CANTILEVER / free**2, CLAMPED / inner**2)))
+
     def begin(self, damping: float) -> None:
         """Let time pass from now on, the tissue being at rest.
 
-        damping: of the free part's first vibration, as a beam that the jaws hold, over the critical one.
+        damping: of the slowest vibration, over the critical one; by a drag in proportion to mass and
+        velocity, which also slows, by less than a twentieth of the weight, what the jaws carry along at less
+        than 50 mm/s.
         """
         assert isinstance(self.model, MovingFlap)
-        tissue = self.scene.tissue
-        free = max(tissue.length + self.jaw_x, tissue.height)
-        slowest = CANTILEVER * np.sqrt(tissue.modulus / (12 * tissue.density)) * tissue.height / free**2
-        self._motion, self._step = Motion(self.model, 2 * damping * slowest), 0.0
+        self._motion, self._step = Motion(self.model, 4 * np.pi * damping / self.period), 0.0
 
     def advance(self, pose: Array, step: float, progress: float) -> TissueState:
         """Let the jaws go straight to a pose (4,) x, y, theta, separation, in so many s; the state then.
@@ -61,7 +69,7 @@ class MovingFem(FemPhysics):
         if step != self._step:
             self.equilibrium.forget()  # another tangent
             self._step = step
-        jaws, guess = to_jaws(pose), self._motion.carry_on(self._u, step)
+        jaws, guess = to_jaws(pose), self._motion.predict(self._u, step)
         self.model.place_jaws(guess, jaws)
         if not np.isfinite(self.model.residual(guess)[0]):
             guess = self._u.copy()

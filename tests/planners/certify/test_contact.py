@@ -13,6 +13,7 @@ from baselines.verification.flaps import HEIGHT
 from baselines.verification.sections import grid_section
 from planners.certify import Certificate, Retraction, certify
 from planners.paths import ctc, linear
+from retract_env.grasp import JawPath
 from retract_env.objectives import IN_BLOCK, inside_block, verdict
 from retract_env.physics.measures import EDGE, doubled, outline_ring
 from retract_env.physics.rod import RodPhysics
@@ -31,7 +32,8 @@ def nearly_straight_up(target: float, slope: float) -> Scene:
 def rolled_over() -> Retraction:
     """The flap is rolled up so far that its end comes to lie on the block behind its fixed end."""
     scene, grasp = nearly_straight_up(-0.0006, 1.57), a_grasp(-0.025)
-    retraction = Retraction(scene, grasp, ctc(scene, grasp), "coarse")
+    path = JawPath.from_poses(ctc(scene, grasp).poses[:24], "ctc")
+    retraction = Retraction(scene, grasp, path, "coarse")
     retraction.squeeze()
     retraction.move()
     return retraction
@@ -66,10 +68,11 @@ def in_block(points: Array) -> float:
 def test_a_flap_that_is_rolled_over_comes_to_lie_on_the_block() -> None:
     retraction = rolled_over()
     assert retraction.physics is not None
+    assert retraction.reason == "not_visible"  # nothing breaks, nor is in the way
     lying, _ = retraction.physics.model.contact.touches(retraction.physics.displacements)
-    assert lying > 10
+    assert lying > 5
     deepest = [in_block(f.points) for f in retraction.frames]
-    assert 0 < max(deepest) < IN_BLOCK * HEIGHT
+    assert 0 < max(deepest) < 0.005 * HEIGHT < IN_BLOCK * HEIGHT
     # it lies there as it would on a table: the end of its surface is level
     last = retraction.frames[-1].points
     end = last[retraction.physics.section.points[:, 0] < -0.045]

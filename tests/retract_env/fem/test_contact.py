@@ -67,7 +67,7 @@ def in_the_block(model: FlapModel) -> Array:
 
 def forces(contact: Contact, u: Array) -> tuple[float, Array]:
     force = np.zeros_like(u)
-    return contact.add_force(u, force), force
+    return contact.add_force(u, force, on_pads=True), force
 
 
 SHAPES = {"pads": lambda m: squeezed_out(m, 1.5 * WIDTH), "block": in_the_block}
@@ -87,7 +87,7 @@ def test_forces_and_tangent_are_the_derivatives_of_the_energy(
     # quadratic or quartic in so small a step
     assert (ahead - behind) / (2 * step) == pytest.approx(force @ v, rel=1e-6)
     times = np.zeros_like(u)
-    contact.add_tangent_times(u, v, times)
+    contact.add_tangent_times(u, v, times, on_pads=True)
     assert (more - less) / (2 * step) == pytest.approx(times, rel=1e-5, abs=1e-6 * np.abs(times).max())
 
 
@@ -106,7 +106,7 @@ def test_the_assembled_tangent_is_the_one_that_is_applied(
     across = rows != cols
     found += np.bincount(cols[across], (values * short[rows])[across], minlength=len(short))
     times = np.zeros_like(u)
-    contact.add_tangent_times(u, v, times)
+    contact.add_tangent_times(u, v, times, on_pads=True)
     assert found == pytest.approx(times[model.free], rel=1e-12, abs=1e-12 * np.abs(times).max())
     assert np.any(found)
 
@@ -156,3 +156,16 @@ def test_the_block_pushes_along_the_shorter_way_out(model: FlapModel, contact: C
         assert not any(f[:, 1 - way].any() for f in pushed)
         # these are the forces that hold the nodes where they are: down, and to the right
         assert sum(f[:, way].sum() for f in pushed) * (1 if way == 0 else -1) > 0
+
+
+def test_jaws_feel_what_friction_has_to_hold_and_not_their_sides(model: FlapModel, contact: Contact) -> None:
+    u = squeezed_out(model, 1.5 * WIDTH)
+    all_of_it, of_tissue = forces(contact, u)[1], np.zeros_like(u)
+    contact.add_force(u, of_tissue)
+    assert not of_tissue[model.driven].any() and all_of_it[model.driven].any()
+    assert (of_tissue[model.free] == all_of_it[model.free]).all()
+    v, all_of_it, of_tissue = np.random.default_rng(2).normal(size=u.size), np.zeros_like(u), np.zeros_like(u)
+    contact.add_tangent_times(u, v, all_of_it, on_pads=True)
+    contact.add_tangent_times(u, v, of_tissue)
+    assert not of_tissue[model.driven].any()
+    assert (of_tissue[model.free] == all_of_it[model.free]).all()

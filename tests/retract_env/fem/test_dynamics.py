@@ -35,7 +35,7 @@ def let_go(model: MovingFlap, steps: int, periods: float, drag: float = 0.0) -> 
     equilibrium.forget()
     places = [model.prism.in_plane(u, 0)[tip, 1]]
     for _ in range(round(steps * periods)):
-        u, _ = equilibrium.solve(motion.carry_on(u, step))
+        u, _ = equilibrium.solve(motion.predict(u, step))
         motion.arrived(u, step)
         places.append(model.prism.in_plane(u, 0)[tip, 1])
     return step * np.arange(len(places)), np.array(places)
@@ -85,6 +85,6 @@ def test_what_is_left_of_a_vibration_is_the_equilibrium() -> None:
     model.weigh(0.5)
     motion = Motion(model, 4 * np.pi / PERIOD)
     for _ in range(200):
-        u, _ = equilibrium.solve(motion.carry_on(u, PERIOD / 50))
+        u, _ = equilibrium.solve(motion.predict(u, PERIOD / 50))
         motion.arrived(u, PERIOD / 50)
     assert np.abs(u - expected).max() < 1e-3 * np.abs(expected).max()
