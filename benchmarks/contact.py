@@ -46,7 +46,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     stiffness = contact.PAD_STIFFNESS, contact.BLOCK_STIFFNESS
     counts: dict[tuple[str, bool], Counter[str]] = {(k, w): Counter() for k in KINDS for w in (False, True)}
-    work, count, greatest, differ = Counter[bool](), 0, 0.0, 0
+    work, touching = Counter[bool](), Counter[str]()
+    greatest, differ = 0.0, 0
     for number, scene in enumerate(load_benchmark("benchmark").splits["test"].scenes(options.flaps)):
         for place in PLACES:
             for closed in CLOSED:
@@ -61,19 +62,20 @@ def main(arguments: Sequence[str] | None = None) -> None:
                         counts[kind, pushes][str(retraction.reason)] += 1
                         assert retraction.physics is not None
                         work[pushes] += retraction.physics.equilibrium.counts["iterations"]
+                    touching[kind] += touched
                     if not touched:
-                        count += 1
                         differ += found[False].reason != found[True].reason
                         for name in ("max_strain", "required_friction"):
                             old, new = (getattr(found[pushes], name) for pushes in (False, True))
                             greatest = max(greatest, abs(new - old))
     print(machine())
     named = [reason for reason in REASONS if any(c[reason] for c in counts.values())]
-    rows = [(kind, "yes" if w else "no", *(c[r] for r in named)) for (kind, w), c in counts.items()]
-    print(table(("path", "pads and block push", *named), rows))
-    total = sum(counts[kind, True].total() for kind in KINDS)
-    print(f"{count} of {total} touch neither. {differ} of them end otherwise; strain and friction change by")
-    print(f"{greatest:.1g} at most.")
+    rows = [
+        (kind, "yes" if w else "no", touching[kind] if w else "", *(c[r] for r in named))
+        for (kind, w), c in counts.items()
+    ]
+    print(table(("path", "pads and block push", "touch", *named), rows))
+    print(f"Of others {differ} end otherwise; their strain and friction change by {greatest:.1g} at most.")
     print(f"Newton iterations: {work[False]} without, {work[True]} with")
 
 

@@ -236,8 +236,8 @@ def _time_text(rows: Sequence[Row]) -> str:
     lines = [
         "### In time",
         "",
-        "With inertia, the slowest vibration damped by a twentieth of the critical: smoothly from rest to rest, "
-        "or at the mean speed from the first moment. Clearance: least once the jaws stand still.",
+        "With inertia, the slowest vibration damped by a twentieth of the critical: smoothly from rest to "
+        "rest, or at the mean speed from the first moment. Clearance: least once the jaws stand still.",
         "",
         "| retraction | start | s | mean speed, mm/s | eps_max | friction | clearance, mm |",
         "| --- | --- | --- | --- | --- | --- | --- |",
@@ -245,8 +245,9 @@ def _time_text(rows: Sequence[Row]) -> str:
     for row in rows:
         strain, friction = _in_time(row)
         lines.append(
-            f"| {row['what']} | {row['start']} | {number(row['seconds']):g} | {1e3 * number(row['speed']):.0f} | "
-            f"{100 * strain:+.1f} % | {friction:+.3f} | {1e3 * number(row['clearance']):+.2f} |"
+            f"| {row['what']} | {row['start']} | {number(row['seconds']):g} | "
+            f"{1e3 * number(row['speed']):.0f} | {100 * strain:+.1f} % | {friction:+.3f} | "
+            f"{1e3 * number(row['clearance']):+.2f} |"
         )
     return "\n".join(lines)
 
