@@ -33,7 +33,7 @@ def _two_layers(depth: float, *_: object, **__: object) -> Array:
 FINER: dict[str, Callable[[], AbstractContextManager[Any]]] = {
     "2 layers over the depth": lambda: patch("retract_env.fem.prism.depth_breaks", _two_layers),
     "6 points in a triangle": lambda: patch(
-        "retract_env.physics.fem.FlapModel", partial(FlapModel, triangle_points=6)
+        "retract_env.physics.fem.FemPhysics.flap", partial(FlapModel, triangle_points=6)
     ),
 }
 """Refinements that `fine` does without."""
