@@ -30,7 +30,8 @@ class MovingFem(FemPhysics):
     @property
     def period(self) -> float:
         """s, of the slowest vibration, of straight beams without veins: the part that hangs free, held by the
-        jaws, or the one between jaws and fixed end. Some 20 % off for bent ones."""
+        jaws, or the one between jaws and fixed end. At the end of a retraction a free part takes a fifth
+        longer, an inner one that is stretched down to half as long."""
         tissue = self.scene.tissue
         free, inner = max(tissue.length + self.jaw_x, tissue.height), max(-self.jaw_x, tissue.height)
         beam = np.sqrt(tissue.modulus / (12 * tissue.density)) * tissue.height
