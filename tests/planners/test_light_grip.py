@@ -172,8 +172,8 @@ def test_a_grasp_that_slips_by_eq_5_is_gripped_more_firmly() -> None:
 
 
 def test_a_grasp_without_a_grip_says_why() -> None:
-    """So near to the fixed end the flap is bent so sharply that, held, it is pressed into itself."""
-    with pytest.raises(NoPlan, match="1 candidates: 1 contact") as none:
+    """So near to the fixed end the flap is bent so sharply that, held, it is strained too much."""
+    with pytest.raises(NoPlan, match="1 candidates: 1 strain") as none:
         lightest("ctc", -0.008)
     (candidate,) = none.value.candidates
     assert candidate.max_strain > 0 and candidate.required_friction > 0
