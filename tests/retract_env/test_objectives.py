@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from retract_env.objectives import WORST_FRACTION, clearance, required_friction, strain, worst_mean
+from retract_env.objectives import WORST_FRACTION, clearance, required_friction, strain, verdict, worst_mean
 from retract_env.scene import LineOfSight
 
 Array = NDArray[np.float64]
@@ -179,3 +179,13 @@ def test_the_cameras_distance_does_not_matter() -> None:
     assert clearance(point, near.camera, near.target) == pytest.approx(
         clearance(point, far.camera, far.target)
     )
+
+
+@pytest.mark.parametrize("weaker", [0, 1])
+def test_the_verdict_is_that_of_the_jaw_which_needs_more(weaker: int) -> None:
+    friction = np.array([0.1, 0.1])
+    assert verdict(0.1, friction, 1.0, 0.5, 0.5) == "ok"
+    friction[weaker] = 0.6
+    assert verdict(0.1, friction, 1.0, 0.5, 0.5) == "slip"
+    friction[weaker] = np.inf
+    assert verdict(0.1, friction, 1.0, 0.5, 0.5) == "release"
