@@ -58,12 +58,12 @@ def certify_command(
     """Simulate the retraction of a plan and judge it."""
     clock = Clock()
     with exit_codes(), ExitStack() as stack:
-        if check is not None and any((out, verify, robust, speed, resolution)):
+        given = verify or robust or any(option is not None for option in (out, speed, resolution))
+        if check is not None and given:
             raise BadInput(
                 "--check: not with --out, --verify, --robust, --speed or --resolution, "
                 "the certificate has its own"
             )
-
         with clock.phase("imports"):
             import planners
             from baselines.cli.progress import Under

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from retract_env.fem.prism import AnyInts, Prism
 from retract_env.mesh import SectionMesh
+from retract_env.mesh.section import edge_lengths
 from retract_env.scene import Scene
 
 Array = NDArray[np.float64]
@@ -47,7 +48,7 @@ class Contact:
         (f + 1,) where rows begin in the tangent, an upper triangle."""
         tissue, jaws = scene.tissue, scene.jaws
         every = np.arange(prism.levels)
-        area = prism.depth_weight[:, None] * _surface_length(section)
+        area = prism.depth_weight[:, None] * edge_lengths(section.points, section.boundary)
         # of nodes on the surface that move: those of a patch do where narrow jaws do not hold them
         level, node = np.nonzero(area)
         x = prism.x(np.arange(len(section.points)), every).reshape(area.shape)[level, node]
@@ -94,15 +95,6 @@ class Contact:
             int(np.count_nonzero(block[x] + block[x + 1])),
             int(np.count_nonzero(np.hypot(pads[beside], pads[beside + 1]))),
         )
-
-
-def _surface_length(section: SectionMesh) -> Array:
-    """(n,) m, of the outline that belongs to each section node (Simpson's rule)."""
-    edges, points = section.boundary, section.points
-    size = np.hypot(*(points[edges[:, 2]] - points[edges[:, 0]]).T)
-    length = np.zeros(len(points))
-    np.add.at(length, edges, size[:, None] * np.array([1, 4, 1]) / 6)
-    return length
 
 
 def _beside_pads(section: SectionMesh, reach: float) -> Ints:

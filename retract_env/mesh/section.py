@@ -54,6 +54,15 @@ class SectionMesh:
         return edges[np.isin(edges[:, 1], middle[count == 1])]
 
 
+def edge_lengths(points: Array, edges: Ints) -> Array:
+    """(n,) m, of straight quadratic edges (e, 3) corner, middle, corner, that belongs to each of the points
+    (n, 2), by Simpson's rule."""
+    size = np.hypot(*(points[edges[:, 2]] - points[edges[:, 0]]).T)
+    length = np.zeros(len(points))
+    np.add.at(length, edges, size[:, None] * np.array([1, 4, 1]) / 6)
+    return length
+
+
 def quadratic_shares(places: Array) -> Array:
     """(k, 6) values of a triangle's quadratic shape functions, in its nodes' order, at (k, 3) barycentric."""
     return np.concatenate([places * (2 * places - 1), 4 * places * np.roll(places, -1, axis=1)], axis=1)
@@ -183,12 +192,8 @@ def _finish(
 
     low, high = np.abs(y) < near, np.abs(y - tissue.height) < near
     under = np.zeros(len(x), bool) if ends is None else (x > ends[0] - near) & (x < ends[1] + near)
-    share = np.zeros(len(x))
-    for a in range(3):
-        edge = triangles[:, [a, 3 + a, (a + 1) % 3]]
-        edge = edge[low[edge].all(axis=1)]
-        size = np.abs(x[edge[:, 2]] - x[edge[:, 0]])
-        np.add.at(share, edge, size[:, None] * np.array([1, 4, 1]) / 6)
+    edges = np.concatenate([triangles[:, [a, 3 + a, (a + 1) % 3]] for a in range(3)])
+    share = edge_lengths(points, edges[low[edges].all(axis=1)])
     bottom = nodes(low)
     return SectionMesh(
         points=points,

@@ -161,5 +161,7 @@ def test_the_console_makes_a_plan_in_time_and_checks_it(
         assert main(["certify", str(plan), "--check", str(file)]) == 2
         (line,) = capsys.readouterr().err.splitlines()
         assert line.startswith(f"error: {file}: certificate.moving: ")
+    assert main(["certify", str(plan), "--check", str(file), "--speed", "0"]) == 2
+    assert "--check: not with --out, --verify, --robust, --speed" in capsys.readouterr().err
     assert main([*asked[:4], "--speed", "-1"]) == 2
     assert "speed = -1 m/s, allowed 1e-06 to 1000" in capsys.readouterr().err
