@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from retract_env.mesh import SectionMesh
+from retract_env.mesh.section import edge_lengths
 from retract_env.scene import Scene
 
 Array = NDArray[np.float64]
@@ -25,11 +26,8 @@ def section_of(points: Array, corners: Ints, scene: Scene, jaw_x: float | None =
     near = 1e-9
     low = np.abs(y) < near
     patch = np.abs(x - np.inf if jaw_x is None else x - jaw_x) < scene.jaws.width / 2 + near
-    share = np.zeros(len(x))
-    for a in range(3):
-        edge = triangles[:, [a, 3 + a, (a + 1) % 3]]
-        edge = edge[low[edge].all(axis=1)]
-        np.add.at(share, edge, np.abs(x[edge[:, 2]] - x[edge[:, 0]])[:, None] * np.array([1, 4, 1]) / 6)
+    sides = np.concatenate([triangles[:, [a, 3 + a, (a + 1) % 3]] for a in range(3)])
+    share = edge_lengths(points, sides[low[sides].all(axis=1)])
 
     def nodes(where: NDArray[np.bool_]) -> NDArray[np.int32]:
         return np.flatnonzero(where).astype(np.int32)
