@@ -22,7 +22,7 @@ from planners.whatif import Flaps
 from retract_env.grasp import Grasp, JawPath
 from retract_env.rod.distance import measured
 from retract_env.rod.follow import CLEAR, STRAIN, TOUCHES
-from retract_env.scene import Limits, Scene
+from retract_env.scene import Limits, Material, Scene
 
 Array = NDArray[np.float64]
 
@@ -83,11 +83,13 @@ def margins() -> Margins:
 
 
 def foresee(scene: Scene, proposals: Sequence[tuple[Grasp, JawPath]]) -> list[Foreseen]:
-    """What the rod says of each; NOTHING of grips firmer than FIRMEST."""
+    """What the rod says of each; NOTHING of grips firmer than FIRMEST, and of tissue of another law than that
+    of which distances were measured."""
     known = [
         i
         for i, (grasp, _) in enumerate(proposals)
-        if grasp.force is not None or grasp.compression <= FIRMEST * scene.tissue.height
+        if scene.material == Material()
+        and (grasp.force is not None or grasp.compression <= FIRMEST * scene.tissue.height)
     ]
     out = [NOTHING] * len(proposals)
     if not known:

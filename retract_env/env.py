@@ -305,7 +305,7 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
     ) -> tuple[NDArray[Any], dict[str, Any]]:
         """Begin an episode; the class says which options there are.
 
-        Raises ValueError for others, Diverged where a grasp that was asked for cannot be squeezed.
+        Raises ValueError for others and a law that the physics does not know, Diverged for a failed squeeze.
         """
         super().reset(seed=seed)
         asked, settings = read_options(options), self._settings
@@ -325,6 +325,7 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
 
     def _begin(self, scene: Scene, z: NDArray[np.float64] | None) -> Episode:
         """A new episode, which is over until it can go on."""
+        self._pool.kind.check_scene(scene)
         if z is not None or self._task is None or self._task.z is not None or self._task.stated != scene:
             self._task = RetractionTask(scene, self.task_config, z)
         self._over, self._episode = True, Episode(self._task, self._pool)

@@ -70,6 +70,8 @@ def certify_command(
             from planners.certify import timed
             from retract_env.errors import MeshError
         scene, grasp, path = read_plan(plan_file)
+        if robust:
+            scene.needs_neo_hookean("for a robust statement")
         said = None if check is None else read_certificate(check)
         if out is not None:
             stack.enter_context(usable_folder(out.parent))

@@ -65,6 +65,7 @@ def compare_command(
             from retract_env.scene import SceneError, load_scene
         try:
             scene = load_scene(scene_name)
+            scene.needs_neo_hookean("for a robust statement")
         except SceneError as problem:
             raise BadInput(str(problem)) from None
         folder = stack.enter_context(usable_folder(out))

@@ -23,6 +23,8 @@ CHANGES: Mapping[str, Mapping[str, Any]] = {
     "20 mm deep, jaws hold 4.4 mm of it": {"tissue": {"depth": 0.020}, "jaws": {"depth": 4.4e-3}},
     "no bed": {"bed": False},
     "weight 10 % more": {"tissue": {"density": 1100.0}},
+    "Fung's law, b = 2": {"material": {"law": "fung", "stiffening": 2.0}},
+    "Fung's law, b = 8": {"material": {"law": "fung", "stiffening": 8.0}},
 }
 """What is changed of a scene: fields of its parts, or its own."""
 

@@ -33,6 +33,8 @@ class Body:
     """unknowns u_x, u_y, u_z of the nodes; the first nodes have no u_z where they lie on a mirror, z = 0"""
     at: Array
     """(n, 3) m, rest position of each node"""
+    b: float = 0.0
+    """of Fung's law, 0 for the neo-Hookean one"""
 
     @property
     def mirrored(self) -> bool:
@@ -46,7 +48,7 @@ class Body:
 
     def assembly(self, free: NDArray[np.bool_]) -> Assembly:
         """free: (size,)."""
-        return Assembly(self.blocks, self.size, np.flatnonzero(free).astype(np.int32))
+        return Assembly(self.blocks, self.size, np.flatnonzero(free).astype(np.int32), self.b)
 
     def vectors(self, u: Array) -> Array:
         """Unknowns (size,) as a vector a node (n, 3)."""
@@ -103,11 +105,13 @@ def deformation(block: ElementBlock, u: Array) -> Array:
     return np.stack(rows, axis=2) + np.eye(3)
 
 
-def stress(F: Array, modulus: ArrayLike, poisson: ArrayLike) -> Array:
-    """First Piola-Kirchhoff stress (..., 3, 3) Pa of the logarithmic neo-Hookean solid."""
+def stress(F: Array, modulus: ArrayLike, poisson: ArrayLike, b: float = 0.0) -> Array:
+    """First Piola-Kirchhoff stress (..., 3, 3) Pa of the logarithmic neo-Hookean solid, or of Fung's."""
     mu, lam = (v[..., None, None] for v in lame(np.asarray(modulus), np.asarray(poisson)))
     log_j = np.log(np.linalg.det(F))[..., None, None]
-    found: Array = mu * F + (lam * log_j - mu) * np.swapaxes(np.linalg.inv(F), -1, -2)
+    grown = np.exp(b * ((F**2).sum(axis=(-2, -1))[..., None, None] - 3 - 2 * log_j))
+    inverse = np.swapaxes(np.linalg.inv(F), -1, -2)
+    found: Array = mu * grown * (F - inverse) + lam * log_j * inverse
     return found
 
 

@@ -191,8 +191,10 @@ def statement(
     """What is said of a plan whose certificate is known; plain data.
 
     Finite elements are those of the certificate's mesh. Where the rod cannot follow the plan they judge
-    MOST_JUDGED draws, and all others count as failing.
+    MOST_JUDGED draws, and all others count as failing. Raises SceneError for tissue of another law than the
+    rod's.
     """
+    scene.needs_neo_hookean("for a robust statement")
     z = draws(asked.samples, asked.seed)
     corrected = corrected_by(scene, grasp, path, certificate.history)
     if corrected is None:

@@ -105,10 +105,13 @@ def certify(
     increments and report the differences; robust: say also how likely the plan fails where the scene is not
     quite what it says, with `Robust()` or as asked; speed: m/s, say also what the motion comes to where it is
     made at this mean speed, smoothly, with inertia.
-    Raises ValueError for a grasp off the flap, a path that does not begin there, an unknown resolution, or no
-    speed, and its kind MeshError where the flap with jaws there cannot be meshed.
+    Raises ValueError for a grasp off the flap, a path that does not begin there, an unknown resolution, no
+    speed, or a robust statement of tissue whose law the rod does not know, and its kind MeshError where the
+    flap with jaws there cannot be meshed.
     """
     trial = Trial(scene, grasp, path, resolution)
+    if robust:
+        scene.needs_neo_hookean("for a robust statement")
     if speed is not None:
         check_motion(scene, speed)
     if verify and resolution not in FINER:

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from retract_env.fem import kernels
+from retract_env.fem import fung, kernels
 from retract_env.fem.elements import ElementBlock
 from retract_env.fem.stretches import greatest_strains, principal_stretches
 
@@ -38,9 +38,10 @@ class Assembly:
     the upper triangle of a symmetric CSR matrix (indptr, indices, values).
     """
 
-    def __init__(self, blocks: Sequence[ElementBlock], size: int, free: Ints):
-        """free: sorted positions in u of the unknowns to solve for."""
-        self.blocks = tuple(blocks)
+    def __init__(self, blocks: Sequence[ElementBlock], size: int, free: Ints, b: float = 0.0):
+        """free: sorted positions in u of the unknowns to solve for; b: of Fung's law, 0 for the neo-Hookean
+        one."""
+        self.blocks, self.b = tuple(blocks), b
         self.size = size
         self.free = np.asarray(free, np.int32)
         number = np.full(size, -1, np.int32)
@@ -66,6 +67,8 @@ class Assembly:
         energy = 0.0
         for block in self.blocks:
             energy += kernels.residual(u, *block.arrays, out)
+            if self.b and np.isfinite(energy):
+                energy += fung.residual(u, *block.arrays, self.b, out)
         return energy, out
 
     def tangent(self, u: Array) -> Array:
@@ -73,6 +76,8 @@ class Assembly:
         values = np.zeros(len(self.indices))
         for block, target in zip(self.blocks, self.targets, strict=True):
             kernels.tangent(u, *block.arrays, block.gram_xy, block.gram_z, target, values)
+            if self.b:
+                fung.tangent(u, *block.arrays, self.b, target, values)
         return values
 
     def tangent_times(self, u: Array, v: Array) -> Array:
@@ -80,6 +85,8 @@ class Assembly:
         out = np.zeros(self.size)
         for block in self.blocks:
             kernels.tangent_times(u, v, *block.arrays, out)
+            if self.b:
+                fung.tangent_times(u, v, *block.arrays, self.b, out)
         return out
 
     def stretches(self, u: Array) -> list[Array]:

@@ -70,7 +70,7 @@ def gradient(ue, gx, gz, F):
 
 
 @njit(**JIT)
-def _deformation(ue, gx, gz, F, H, J):
+def deformation(ue, gx, gz, F, H, J):
     """F = 1 + grad u, H = F^-T and J = det F; returns whether no element is inverted."""
     gradient(ue, gx, gz, F)
     sound = True
@@ -104,7 +104,7 @@ def _deformation(ue, gx, gz, F, H, J):
 
 
 @njit(**JIT)
-def _divergence(P, gx, gz, re):
+def divergence(P, gx, gz, re):
     """Add sum_j P[i, j] G_a[j] to the element forces (2 na + nz, LANES)."""
     na = gx.shape[1]
     nz = gz.shape[1]
@@ -142,7 +142,7 @@ def residual(u, gxy, gz, weight, mu, lam, dofs, out):
         m = mu[c]
         k = lam[c]
         for q in range(gxy.shape[1]):
-            if not _deformation(ue, gxy[c, q], gz[c, q], F, H, J):
+            if not deformation(ue, gxy[c, q], gz[c, q], F, H, J):
                 return np.inf
             w = weight[c, q]
             for l in range(LANES):
@@ -159,7 +159,7 @@ def residual(u, gxy, gz, weight, mu, lam, dofs, out):
                     h = H[i, j]
                     for l in range(LANES):
                         f[l] = w[l] * m[l] * f[l] + J[l] * h[l]
-            _divergence(F, gxy[c, q], gz[c, q], re)
+            divergence(F, gxy[c, q], gz[c, q], re)
         for a in range(nd):
             for l in range(LANES):
                 out[dofs[c, a, l]] += re[a, l]
@@ -185,7 +185,7 @@ def tangent_times(u, v, gxy, gz, weight, mu, lam, dofs, out):
         gather(u, dofs[c], ue)
         re[:] = 0.0
         for q in range(gxy.shape[1]):
-            _deformation(ue, gxy[c, q], gz[c, q], F, H, J)
+            deformation(ue, gxy[c, q], gz[c, q], F, H, J)
             gradient(ve, gxy[c, q], gz[c, q], D)
             for l in range(LANES):
                 trace = 0.0
@@ -206,7 +206,7 @@ def tangent_times(u, v, gxy, gz, weight, mu, lam, dofs, out):
                         for k in range(3):
                             s += H[i, k, l] * M[k, j]
                         F[i, j, l] = m * D[i, j, l] + b * trace * H[i, j, l] + d * s
-            _divergence(F, gxy[c, q], gz[c, q], re)
+            divergence(F, gxy[c, q], gz[c, q], re)
         for a in range(nd):
             for l in range(LANES):
                 out[dofs[c, a, l]] += re[a, l]
@@ -248,25 +248,25 @@ def tangent(u, gxy, gz, weight, mu, lam, dofs, gram_xy, gram_z, target, values):
     for c in range(gxy.shape[0]):
         gather(u, dofs[c], ue)
         for q in range(nq):
-            _deformation(ue, gxy[c, q], gz[c, q], F, H, J)
+            deformation(ue, gxy[c, q], gz[c, q], F, H, J)
             for l in range(LANES):
                 w = weight[c, q, l]
                 wl[q, l] = w * lam[c, l]
                 wc[q, l] = w * mu[c, l] - wl[q, l] * np.log(J[l])
-            _push(H, gxy[c, q], sxy[q])
-            _push(H, gz[c, q], sz[q])
+            push(H, gxy[c, q], sxy[q])
+            push(H, gz[c, q], sz[q])
         slot = 0
         for i in range(3):
             si = sxy if i < 2 else sz
             constant = gram_xy[c] if i < 2 else gram_z[c]
-            slot = _couple_same(si, i, wl, wc, constant, rows, target[c], slot, values)
+            slot = couple_same(si, i, wl, wc, constant, rows, target[c], slot, values)
             for k in range(i + 1, 3):
                 sk = sxy if k < 2 else sz
-                slot = _couple_other(si, sk, i, k, wl, wc, rows, target[c], slot, values)
+                slot = couple_other(si, sk, i, k, wl, wc, rows, target[c], slot, values)
 
 
 @njit(**JIT)
-def _couple_same(s, i, wl, wc, constant, rows, target, slot, values):
+def couple_same(s, i, wl, wc, constant, rows, target, slot, values):
     """Tangent between the unknowns of one direction i; returns the next slot."""
     first = np.empty(LANES)
     for a in range(s.shape[2]):
@@ -291,7 +291,7 @@ def _couple_same(s, i, wl, wc, constant, rows, target, slot, values):
 
 
 @njit(**JIT)
-def _couple_other(si, sk, i, k, wl, wc, rows, target, slot, values):
+def couple_other(si, sk, i, k, wl, wc, rows, target, slot, values):
     """Tangent between the unknowns of direction i and those of direction k; returns the next slot."""
     first = np.empty(LANES)
     second = np.empty(LANES)
@@ -330,7 +330,7 @@ def _scatter(rows, begin, end, target, slot, values):
 
 
 @njit(**JIT)
-def _push(H, g, out):
+def push(H, g, out):
     """Spatial gradients g[i] = sum_j H[i, j] G[j] of one point, (3, n, LANES)."""
     for i in range(3):
         h0 = H[i, 0]

@@ -62,7 +62,7 @@ class FlapModel:
         prescribed[self.fixed] = True
         prescribed[self.driven] = True
         self.free = np.flatnonzero(~prescribed).astype(np.int32)
-        self.assembly = Assembly(prism.blocks, prism.size, self.free)
+        self.assembly = Assembly(prism.blocks, prism.size, self.free, scene.material.stiffening)
 
         self._weight = np.zeros(prism.size)
         share = prism.depth_weight[:, None] * prism.area

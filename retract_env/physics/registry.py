@@ -43,6 +43,8 @@ class PhysicsKind:
     """a package that has to be installed besides, if any"""
     install: str = ""
     """the command that installs it"""
+    any_law: bool = False
+    """whether it follows what a scene's `material` says, and not the neo-Hookean law alone"""
 
     def load(self) -> Any:
         """The class."""
@@ -71,6 +73,11 @@ class PhysicsKind:
         if resolution not in self.resolutions:
             raise ValueError(f"resolution = {resolution!r}, allowed {', '.join(self.resolutions)}")
 
+    def check_scene(self, scene: Scene) -> None:
+        """Raise SceneError for tissue of a law that it does not know."""
+        if not self.any_law:
+            scene.needs_neo_hookean(f"on {self.about}")
+
     def make(
         self,
         scene: Scene,
@@ -79,11 +86,12 @@ class PhysicsKind:
         stop_when: Callable[[TissueState], bool] | None = None,
         force: float | None = None,
     ) -> Physics:
-        """One flap between jaws at jaw_x, m. Raises as its constructor.
+        """One flap between jaws at jaw_x, m. Raises as `check_scene` and its constructor.
 
         stop_when: where a move cannot be made whole, it ends at the first state on its way that this is true
         of. force: N, that the jaws hold by, whatever separation they are told; None: by the separation.
         """
+        self.check_scene(scene)
         # one of another package may know no force, which is its own to say
         held = {} if force is None else {"force": force}
         physics: Physics = self.load()(scene, jaw_x, resolution, stop_when=stop_when, **held)
@@ -108,6 +116,7 @@ PHYSICS = {
             "retract_env.physics.fem:FemPhysics",
             resolution="coarse",
             about="the finite elements",
+            any_law=True,
         ),
         PhysicsKind(
             "rod",

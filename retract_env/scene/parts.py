@@ -13,7 +13,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import ValidationInfo, field_validator, model_validator
 
@@ -25,6 +25,7 @@ from retract_env.config import (
     Range,
     config_file,
     listed,
+    one_of,
     point_text,
     read_yaml,
     refusal,
@@ -159,7 +160,27 @@ class Jaws(_Part):
     """m, how far the stem reaches away from the tissue; it is half as wide as the pad is thick."""
 
 
-# `uncertainty` is new likewise, as a whole.
+class Material(_Part):
+    """The hyperelastic law of tissue and veins; their moduli are those of small strain under any.
+
+    "neo-hookean": W = mu/2 I + lambda/2 (ln J)^2 with I = I1 - 3 - 2 ln J. "fung": mu/(2 b) (exp(b I) - 1)
+    takes the place of the first term, so that tissue stiffens as it is strained (Fung 1967, Demiray 1972):
+    stress at 15 % stretch is 1.1 times as high for b = 1.5, 1.6 times for b = 8.
+    """
+
+    law: Annotated[Literal["neo-hookean", "fung"], one_of(("neo-hookean", "fung"))] = "neo-hookean"
+    stiffening: Annotated[float, Range(0.0, 50.0)] = 0.0
+    """b, above 0 for "fung", 0 for "neo-hookean"."""
+
+    @model_validator(mode="after")
+    def _suits_the_law(self) -> Material:
+        allowed = Range(0.0, 50.0, "", "(]") if self.law == "fung" else Range(0.0, 0.0)
+        if (fault := allowed.fault(self.stiffening)) is not None:
+            raise refusal(f".stiffening{fault} for law = {self.law!r}")
+        return self
+
+
+# `uncertainty` and `material` are new likewise, as wholes.
 ADDED: dict[str, dict[str, Any]] = {
     "limits": {"clearance": 0.0},
     "jaws": {"in_sight": False, "thickness": 1e-3, "stem": 5e-3},
@@ -181,6 +202,7 @@ class Scene(_Part):
     """Whether the flap lies on something at y = 0."""
     uncertainty: Uncertainty = Uncertainty()
     """What of all this, and of a plan, is not known."""
+    material: Material = Material()
 
     @model_validator(mode="after")
     def _parts_agree(self) -> Scene:
@@ -203,12 +225,18 @@ class Scene(_Part):
         """Plain data: dicts, lists, numbers, texts; `from_data` and a YAML file take it back."""
         return self.model_dump(mode="json")
 
+    def needs_neo_hookean(self, who: str) -> None:
+        """Raise SceneError for another law, which `who` does not know."""
+        if self.material != Material():
+            raise SceneError(f"material.law = {self.material.law!r}, allowed 'neo-hookean' {who}")
+
     @property
     def hash(self) -> str:
         """SHA-256, hex, of the values without the name; equal scenes on any machine have equal ones."""
         values = self.model_dump(mode="json", exclude={"name"})
-        if self.uncertainty == Uncertainty():
-            del values["uncertainty"]
+        for name, whole in (("uncertainty", Uncertainty()), ("material", Material())):
+            if getattr(self, name) == whole:
+                del values[name]
         for part, added in ADDED.items():
             for name, default in added.items():
                 if values[part][name] == default:

@@ -131,7 +131,8 @@ class Flaps:
         )
 
     def put(self, k: int, scene: Scene) -> None:
-        """Give environment k this scene."""
+        """Give environment k this scene. Raises SceneError for one whose law the rod does not know."""
+        scene.needs_neo_hookean("on a planar rod")
         vertices, offsets, moduli = veins_of(scene.tissue)
         self._make_room(len(vertices), len(moduli))
         lanes = self.lanes

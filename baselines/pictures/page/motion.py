@@ -23,7 +23,7 @@ from retract_env.grasp import Grasp, JawPath
 from retract_env.objectives import verdict
 from retract_env.physics.base import TissueState
 from retract_env.physics.fem import FemPhysics
-from retract_env.scene import Scene
+from retract_env.scene import Material, Scene
 
 if TYPE_CHECKING:
     from planners.certify import Certificate
@@ -133,9 +133,11 @@ def followed(
 
 def followed_by_rod(scene: Scene, grasp: Grasp, path: JawPath) -> Motion | None:
     """The same by the rod, to the first broken limit, to success or the path's end; None where it finds no
-    equilibrium even with the jaws closed."""
+    equilibrium even with the jaws closed, or does not know the tissue's law."""
     from retract_env.physics.rod import RodPhysics
 
+    if scene.material != Material():
+        return None
     physics = RodPhysics(scene, grasp.x, force=grasp.force)
     states: list[TissueState] = []
     reason, limits = "not_visible", scene.limits

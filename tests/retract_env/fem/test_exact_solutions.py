@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -41,10 +42,15 @@ BODIES: dict[str, Callable[[float], Body]] = {
 }
 
 
-@pytest.fixture(scope="module", params=[(n, nu) for n in BODIES for nu in (0.3, 0.49)], ids=str)
+CASES = [(n, nu, 0.0) for n in BODIES for nu in (0.3, 0.49)]
+CASES += [("tet-10", 0.3, 2.0), ("half flap", 0.49, 2.0)]
+
+
+@pytest.fixture(scope="module", params=CASES, ids=str)
 def case(request: pytest.FixtureRequest) -> tuple[Body, float]:
-    name, poisson = request.param
-    return BODIES[name](poisson), poisson
+    """A body, of the neo-Hookean law (b = 0) or Fung's, and Poisson's ratio."""
+    name, poisson, b = request.param
+    return replace(BODIES[name](poisson), b=b), poisson
 
 
 def resultant(body: Body, force: Array, nodes: NDArray[np.bool_]) -> Array:
@@ -64,8 +70,11 @@ def test_uniaxial_stretch(case: Case, stretch: float) -> None:
     body, poisson = case
     mu, lam = (float(v) for v in lame(np.array(MODULUS), np.array(poisson)))
 
+    def grown(t: float) -> float:
+        return float(np.exp(body.b * (stretch**2 + 2 * t**2 - 3 - 2 * np.log(stretch * t * t))))
+
     def lateral_stress(t: float) -> float:
-        return float(mu * (t * t - 1) + lam * np.log(stretch * t * t))
+        return float(mu * grown(t) * (t * t - 1) + lam * np.log(stretch * t * t))
 
     t = brentq(lateral_stress, 0.3, 3.0, xtol=1e-15)
     ends = body.face(0, False) | body.face(0, True)
@@ -74,17 +83,21 @@ def test_uniaxial_stretch(case: Case, stretch: float) -> None:
     guess = body.affine(np.diag([stretch, 1.03 * t, 0.97 * t]))
     u, force = relax(body.assembly(~prescribed), np.where(prescribed, target, guess))
     assert np.abs(u - target).max() < 1e-10 * SIZE[0]
-    P = mu * stretch + (lam * np.log(stretch * t * t) - mu) / stretch
+    P = mu * grown(t) * (stretch - 1 / stretch) + lam * np.log(stretch * t * t) / stretch
     assert resultant(body, force, body.face(0, True))[0] == pytest.approx(P * SIZE[1] * SIZE[2], rel=1e-9)
     for stretches in body.whole.stretches(u):
         assert np.abs(stretches - np.sort([stretch, t, t])).max() < 1e-7
 
 
 def test_simple_shear(case: Case) -> None:
-    """sigma_xy = mu gamma, sigma_xx = mu gamma^2, no pressure: the volume is kept."""
+    """sigma_xy = mu gamma, sigma_xx = mu gamma^2, no pressure: the volume is kept.
+
+    By Fung's law exp(b gamma^2) times as much.
+    """
     body, poisson = case
     mu = MODULUS / (2 * (1 + poisson))
     gamma = 0.6
+    mu *= np.exp(body.b * gamma**2)
     F = np.eye(3)
     F[0, 1] = gamma
     sides = [body.face(axis, high) for axis in (0, 1) for high in (False, True)]
@@ -94,7 +107,7 @@ def test_simple_shear(case: Case) -> None:
     solved, force = relax(body.assembly(~prescribed), u)
     assert np.abs(solved - body.affine(F)).max() < 1e-10 * SIZE[0]
     for block in body.blocks:
-        P = stress(deformation(block, solved), MODULUS, poisson)
+        P = stress(deformation(block, solved), MODULUS, poisson, body.b)
         cauchy = P @ F.T  # J = 1
         expected = mu * np.array([[gamma**2, gamma, 0], [gamma, 0, 0], [0, 0, 0]])
         assert np.abs(cauchy - expected).max() < 1e-8 * mu
@@ -121,7 +134,8 @@ def test_homogeneous_pressure(case: Case, stretch: float) -> None:
     u[~prescribed] = 0.9 * target[~prescribed]
     solved, force = relax(body.assembly(~prescribed), u)
     assert np.abs(solved - target).max() < 1e-10 * SIZE[0]
-    pressure = (mu * (stretch**2 - 1) + 3 * lam * np.log(stretch)) / stretch**3
+    grown = np.exp(3 * body.b * (stretch**2 - 1 - 2 * np.log(stretch)))
+    pressure = (mu * grown * (stretch**2 - 1) + 3 * lam * np.log(stretch)) / stretch**3
     for axis in range(3):
         area = stretch**2 * np.prod(np.delete(SIZE, axis))
         on_side = resultant(body, force, body.face(axis, True))[axis]
