@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any
 
 from baselines.jobs.journal import Row
+from baselines.verification.sliding import slid
 from baselines.verification.solution import CASES, WIDE, until_certified
 from planners.certify import certify
 from planners.certify.moving import Start, moving, way_long
@@ -37,6 +39,8 @@ MOTIONS: tuple[tuple[float, Start], ...] = (
     (1.0, "sudden"),
 )
 """In how many s, and how begun, motions are made that certificates know no time of."""
+SLIDING = (*BASES, "stiff rectangular veins at the grasp, CTC", "8 mm thick, no bed, CTC")
+"""Cases whose patches are let slip node by node; the last needs nearly all the friction that there is."""
 
 
 def freed(scene: Scene) -> Scene:
@@ -77,4 +81,17 @@ def in_time(resolution: str, case: str, seconds: float, start: Start) -> Row:
         "clearance": found.clearance,
         "strain_slow": plain.max_strain,
         "friction_slow": plain.required_friction,
+    }
+
+
+def node_by_node(resolution: str, case: str) -> Row:
+    """What a case comes to where every node of a patch slips by itself, and what its certificate states."""
+    scene, path = until_certified(case)
+    plain = certify(freed(scene), CASES[case].grasp, path, resolution)
+    found = slid(freed(scene), plain.frames, scene.limits.friction, resolution)
+    return {
+        **asdict(found),
+        "strain_rigid": plain.max_strain,
+        "friction_rigid": plain.required_friction,
+        "clearance_rigid": plain.clearance,
     }

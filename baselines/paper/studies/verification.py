@@ -11,7 +11,15 @@ from matplotlib.axes import Axes
 from baselines.jobs.journal import Row
 from baselines.paper.experiments import Experiment
 from baselines.paper.study import Claim, Report, Study, new_figure, number
-from baselines.verification.assumptions import BASES, CHANGES, MOTIONS, in_time, with_change
+from baselines.verification.assumptions import (
+    BASES,
+    CHANGES,
+    MOTIONS,
+    SLIDING,
+    in_time,
+    node_by_node,
+    with_change,
+)
 from baselines.verification.code import CHECKS
 from baselines.verification.solution import (
     CASES,
@@ -57,7 +65,8 @@ def _experiments() -> list[Experiment]:
         for case in BASES
         for seconds, start in MOTIONS
     ]
-    return [*checks, *solution, *assumed, *timed]
+    slipping = [Experiment(node_by_node, {"case": case}, {"group": "slip", "what": case}) for case in SLIDING]
+    return [*checks, *solution, *assumed, *timed, *slipping]
 
 
 def _report(rows: Sequence[Row]) -> Report:
@@ -70,11 +79,13 @@ def _report(rows: Sequence[Row]) -> Report:
     }
     model = [row for row in rows if row["group"] == "model"]
     times = [row for row in rows if row["group"] == "time"]
+    slips = [row for row in rows if row["group"] == "slip"]
     table = [
         *map(_check_line, checks),
         *_solution_lines(cases),
         *_model_lines(model),
         *[line for row in times for line in _time_lines(row)],
+        *[line for row in slips for line in _slip_lines(row)],
     ]
     figure = new_figure(11.0, 3.8)
     panels = figure.subplots(1, 3)
@@ -106,12 +117,12 @@ def _report(rows: Sequence[Row]) -> Report:
         "Are the equations solved right? *Code*: closed forms, rates of convergence and laws, each with a "
         "tolerance. *Solution*: eight certified retractions, followed to the same place on three meshes, "
         "each with triangles half as large as the one before, and how far `fine`, the mesh of certificates, "
-        "is off the limit of these. *Model*: the same motions of the jaws with one assumption changed, and "
-        "in time, with inertia.",
+        "is off the limit of these. *Model*: the same motions of the jaws with one assumption changed, in "
+        "time, with inertia, and with patches that slip node by node.",
         table,
         figure,
         claims,
-        [_code_text(checks), _solution_text(cases), _model_text(model), _time_text(times)],
+        [_code_text(checks), _solution_text(cases), _model_text(model), _time_text(times), _slip_text(slips)],
     )
 
 
@@ -177,6 +188,21 @@ def _time_lines(row: Row) -> list[dict[str, object]]:
         _line("model", f"{what}: eps_max, relative", strain),
         _line("model", f"{what}: friction", friction),
         _line("model", f"{what}: clearance once the jaws stand still", number(row["clearance"]), "m"),
+    ]
+
+
+def _slipped(row: Row) -> tuple[float, float]:
+    """Strain over that of the certificate, less 1; change of friction."""
+    strain = number(row["max_strain"]) / number(row["strain_rigid"]) - 1
+    return strain, number(row["required_friction"]) - number(row["friction_rigid"])
+
+
+def _slip_lines(row: Row) -> list[dict[str, object]]:
+    what, (strain, friction) = f"{row['what']}, node by node", _slipped(row)
+    return [
+        _line("model", f"{what}: eps_max, relative", strain),
+        _line("model", f"{what}: friction", friction),
+        _line("model", f"{what}: creep", number(row["creep"]), "m"),
     ]
 
 
@@ -248,6 +274,28 @@ def _time_text(rows: Sequence[Row]) -> str:
             f"| {row['what']} | {row['start']} | {number(row['seconds']):g} | "
             f"{1e3 * number(row['speed']):.0f} | {100 * strain:+.1f} % | {friction:+.3f} | "
             f"{1e3 * number(row['clearance']):+.2f} |"
+        )
+    return "\n".join(lines)
+
+
+def _slip_text(rows: Sequence[Row]) -> str:
+    lines = [
+        "### Node by node",
+        "",
+        "Patches that hold by Coulomb's law at every node, with the scene's friction, instead of as a whole. "
+        "Creep: the farthest that a node slips along its pad once the jaws have closed. Sliding, lifted: "
+        "parts of the worse patch at the end. Clearance: how much more or less.",
+        "",
+        "| retraction | eps_max | friction | creep, um | sliding | lifted | clearance, mm |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for row in rows:
+        strain, friction = _slipped(row)
+        lower = number(row["clearance"]) - number(row["clearance_rigid"])
+        lines.append(
+            f"| {row['what']} | {100 * strain:+.1f} % | {friction:+.3f} | "
+            f"{1e6 * number(row['creep']):.0f} | {100 * number(row['sliding']):.0f} % | "
+            f"{100 * number(row['lifted']):.0f} % | {1e3 * lower:+.2f} |"
         )
     return "\n".join(lines)
 

@@ -12,7 +12,7 @@ import pytest
 from baselines.paper.studies import study
 from baselines.paper.study import page
 from baselines.verification import code
-from baselines.verification.assumptions import CHANGES, MOTIONS, changed
+from baselines.verification.assumptions import CHANGES, MOTIONS, SLIDING, changed
 from baselines.verification.code import CHECKS
 from baselines.verification.flaps import HEIGHT, flap, square_vein
 from baselines.verification.solution import (
@@ -83,7 +83,8 @@ def test_every_experiment_goes_through_json() -> None:
     experiments = study("verification").experiments()
     works = [json.dumps(one.work("fine"), sort_keys=True) for one in experiments]
     assert len(set(works)) == len(works)
-    assert len(works) == len(CHECKS) + len(CASES) * (len(SPLITS) + 1) + 2 * len(CHANGES) + 2 * len(MOTIONS)
+    solution, assumed = len(CASES) * (len(SPLITS) + 1), 2 * len(CHANGES) + 2 * len(MOTIONS) + len(SLIDING)
+    assert len(works) == len(CHECKS) + solution + assumed
 
 
 def rows(off: float) -> list[dict[str, Any]]:
@@ -101,6 +102,8 @@ def rows(off: float) -> list[dict[str, Any]]:
             row = {"reason": "not_visible", "unknowns": 1000, "length": 0.05}
             row |= dict.fromkeys(QUANTITIES, 0.3 * (1 + part))
             row |= {"speed": 0.01, "strain_slow": 0.2, "friction_slow": 0.25}
+            row |= {"strain_rigid": 0.2, "friction_rigid": 0.25, "clearance_rigid": 0.2}
+            row |= {"creep": 1e-5, "sliding": 0.5, "lifted": 0.1}
         out.append({**label, **row})
     return out
 
@@ -114,6 +117,8 @@ def test_the_page_says_what_is_within_its_tolerance(off: float, agrees: str) -> 
     text = page(asked, report, "fine")
     in_time = text.partition("### In time")[2].splitlines()
     assert sum(line.endswith("| 10 | +50.0 % | +0.050 | +300.00 |") for line in in_time) == 2 * len(MOTIONS)
+    by_node = text.partition("### Node by node")[2].splitlines()
+    assert sum(line.endswith("| +50.0 % | +0.050 | 10 | 50 % | 10 % | +100.00 |") for line in by_node) == 4
     assert "## Code" in text and "## Solution" in text and "## Model" in text and "nan" not in text
     assert {line["holds"] for line in report.table if line["group"] == "code"} == {"yes"}
 
