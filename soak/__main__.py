@@ -22,6 +22,7 @@ from soak.bugs import BUGS, bug_tasks, planted
 from soak.caches import cache_tasks, compiled
 from soak.damaged import file_tasks, read
 from soak.episodes import episode_tasks, played
+from soak.guided import guided, guided_tasks
 from soak.interruptions import stop_tasks, stopped
 from soak.outcomes import WRONG
 from soak.plans import followed, path_tasks, plan_tasks, planned
@@ -33,6 +34,7 @@ PARTS: Mapping[str, tuple[int, Callable[[int, str], list[dict[str, Any]]], Work]
     "fem": (2000, lambda count, code: episode_tasks("fem", count, code), played),
     "bullet": (200, lambda count, code: episode_tasks("bullet", count, code), played),
     "files": (10_000, file_tasks, read),
+    "guided": (20_000, guided_tasks, guided),
     "stops": (20, stop_tasks, stopped),
     "caches": (3, cache_tasks, compiled),
     "bugs": (len(BUGS), bug_tasks, planted),

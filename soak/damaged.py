@@ -92,7 +92,7 @@ def read(task: WorkItem) -> Row:
 
 def _read(task: dict[str, Any]) -> Row:
     kind = task["kind"]
-    name, sound, beside = _sound(kind)
+    name, sound, beside = sound_file(kind)
     counted = {"read": 0, "refused": 0}
     with suppress(ValueError, OSError):  # where the system knows no such limit
         resource.setrlimit(resource.RLIMIT_AS, (MOST_MEMORY, resource.getrlimit(resource.RLIMIT_AS)[1]))
@@ -173,7 +173,7 @@ def _in_the_place_of_a_number(content: bytearray, rng: np.random.Generator) -> N
 
 
 @cache
-def _sound(kind: str) -> tuple[str, bytes, dict[str, bytes]]:
+def sound_file(kind: str) -> tuple[str, bytes, dict[str, bytes]]:
     """A file's name and content before it is damaged, and what lies beside it."""
     if kind in YAML:
         return "it.yaml", config_file(*YAML[kind]).read_bytes(), {}

@@ -21,6 +21,7 @@ from soak.bugs import BUGS
 from soak.caches import compiled
 from soak.damaged import READERS, damage, read
 from soak.episodes import played
+from soak.guided import guided
 from soak.interruptions import COMMANDS, _half_written, stopped
 from soak.outcomes import WRONG, apart
 from soak.plans import planned
@@ -54,6 +55,13 @@ def test_damage_is_the_same_for_a_number_and_changes_something() -> None:
     damaged = [damage(sound, np.random.default_rng([number, 3])) for number in range(100)]
     assert damaged == [damage(sound, np.random.default_rng([number, 3])) for number in range(100)]
     assert sum(content != sound for content in damaged) > 90
+
+
+def test_a_fuzzer_that_learns_finds_nothing_in_short() -> None:
+    pytest.importorskip("atheris")
+    row = guided({"kind": "journal", "runs": 200, "limit": 300.0})
+    assert row["outcome"] == "ended", row
+    assert sum(row["tried"].values()) == 200
 
 
 def test_every_planted_error_has_a_place() -> None:
