@@ -137,25 +137,34 @@ def test_what_is_done_is_not_done_again_unless_told_to(
 
 
 @pytest.mark.slow
-def test_a_ray_cluster_of_two_nodes_finds_the_same(whole: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("lost", [False, True], ids=["both to the end", "one lost on the way"])
+def test_a_ray_cluster_of_two_nodes_finds_the_same(lost: bool, whole: Path, tmp_path: Path) -> None:
     pytest.importorskip("ray")
     code = (
-        "import sys\n"
+        "import pathlib, sys, threading, time\n"
         "from ray.cluster_utils import Cluster\n"
         "from tests.baselines.small_studies import SMALL, main, use_small_study\n"
         "use_small_study()\n"
         "head = {'num_cpus': 1, 'include_dashboard': False}\n"
         "cluster = Cluster(initialize_head=True, head_node_args=head)\n"
-        "cluster.add_node(num_cpus=1)\n"
+        "other = cluster.add_node(num_cpus=1)\n"
+        "def lose():\n"
+        "    while not any(p.stat().st_size for p in pathlib.Path(sys.argv[1]).glob('*.jsonl')):\n"
+        "        time.sleep(0.05)\n"
+        "    cluster.remove_node(other, allow_graceful=False)\n"
+        "    print('lost', flush=True)\n"
+        "if sys.argv[2] == 'True':\n"
+        "    threading.Thread(target=lose, daemon=True).start()\n"
         "command = ['reproduce', SMALL, '--resolution', 'coarse', '--out', sys.argv[1]]\n"
         "code = main([*command, '--cluster', cluster.address])\n"
         "cluster.shutdown()\n"
         "sys.exit(code)\n"
     )
-    subprocess.run(
-        [sys.executable, "-c", code, str(tmp_path)], cwd=ROOT, check=True, timeout=PATIENCE,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path), str(lost)], cwd=ROOT, check=True, timeout=PATIENCE,
+        env=os.environ | {"PYTHONPATH": str(ROOT)}, stdout=subprocess.PIPE, text=True,
     )  # fmt: skip
+    assert ("lost" in done.stdout.splitlines()) == lost
     assert results(tmp_path) == results(whole)
 
 
