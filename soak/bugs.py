@@ -76,6 +76,9 @@ BUGS: Mapping[str, Bug] = {
     "a pad that pulls": Bug(
         "retract_env/fem/contact.py", "force[p] -= push * tx", "force[p] += push * tx", FEM
     ),
+    "Fung's stress doubled": Bug(
+        "retract_env/fem/fung.py", "I[l] = m * more\n", "I[l] = 2.0 * m * more\n", FEM
+    ),
     "friction from one jaw only": Bug(
         "retract_env/objectives.py",
         "friction = float(np.max(required_friction))",
