@@ -13,13 +13,14 @@ import os
 import subprocess
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
 from baselines.benchmark.splits import load_benchmark
 from benchmarks._report import ROOT, machine, progress, table
-from planners.certify import certify
-from planners.certify.trial import ROUNDING
+from planners.certify import Certificate, certify
+from planners.certify.trial import ROUNDING, differences
 from planners.paths import PATHS
 from retract_env.grasp import Grasp
 
@@ -46,15 +47,13 @@ CLOSED = 0.25
 
 
 def judged(flaps: int, resolution: str) -> list[dict[str, Any]]:
-    """What certificates state, flap by flap."""
+    """Certificates as plain data, flap by flap."""
     out = []
     for scene in load_benchmark("benchmark").splits["test"].scenes(flaps):
         for place in PLACES:
             grasp = Grasp(place * scene.tissue.length, CLOSED * scene.tissue.height)
             for kind in KINDS:
-                found = certify(scene, grasp, PATHS[kind](scene, grasp), resolution).to_json()
-                names = ("reason", "max_strain", "required_friction", "clearance", "hash")
-                out.append({name: found[name] for name in names})
+                out.append(certify(scene, grasp, PATHS[kind](scene, grasp), resolution).to_json())
     return out
 
 
@@ -79,32 +78,31 @@ def main(arguments: Sequence[str] | None = None) -> None:
             )  # fmt: skip
         found[name] = json.loads(done.stdout)
     first, rows = next(iter(found.values())), []
+    fields: Counter[str] = Counter()
     for name, theirs in found.items():
-        both = [(a, b) for a, b in zip(first, theirs, strict=True) if a["reason"] == b["reason"]]
+        both = list(zip(first, theirs, strict=True))
+        told = [differences(Certificate.from_json(a), Certificate.from_json(b)) for a, b in both]
+        fields.update(line.partition(" = ")[0] for lines in told for line in lines)
         rows.append(
             (
                 name,
-                len(theirs),
-                len(theirs) - len(both),
+                len(both),
                 sum(a["hash"] == b["hash"] for a, b in both),
+                sum(a["reason"] != b["reason"] for a, b in both),
+                sum(map(bool, told)),
                 *(
-                    max(_apart(a[q], b[q]) for a, b in both)
-                    for q in ("max_strain", "required_friction", "clearance")
+                    max(_apart(a[quantity], b[quantity]) for a, b in both)
+                    for quantity in ("max_strain", "required_friction", "clearance")
                 ),
             )
         )
     print(machine())
-    head = (
-        "instructions",
-        "certificates",
-        "other verdicts",
-        "same bits",
-        "strain",
-        "friction",
-        "clearance, m",
+    head = ("instructions", "certificates", "same bits", "other verdicts", "refused", "strain", "friction")
+    print(table((*head, "clearance, m"), rows))
+    print(
+        f"Greatest differences from the first. Refused: by `--check`, which allows {ROUNDING:g}; because of"
     )
-    print(table(head, rows))
-    print(f"Greatest differences from the first; `retract certify --check` allows {ROUNDING:g}.")
+    print(", ".join(f"{field} ({count})" for field, count in fields.most_common(12)) or "nothing")
 
 
 def _apart(one: float | None, other: float | None) -> float:
