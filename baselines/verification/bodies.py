@@ -109,9 +109,9 @@ def stress(F: Array, modulus: ArrayLike, poisson: ArrayLike, b: float = 0.0) -> 
     """First Piola-Kirchhoff stress (..., 3, 3) Pa of the logarithmic neo-Hookean solid, or of Fung's."""
     mu, lam = (v[..., None, None] for v in lame(np.asarray(modulus), np.asarray(poisson)))
     log_j = np.log(np.linalg.det(F))[..., None, None]
-    grown = np.exp(b * ((F**2).sum(axis=(-2, -1))[..., None, None] - 3 - 2 * log_j))
-    inverse = np.swapaxes(np.linalg.inv(F), -1, -2)
-    found: Array = mu * grown * (F - inverse) + lam * log_j * inverse
+    first = (F**2).sum(axis=(-2, -1))[..., None, None] - 3
+    grown = np.exp(b * (first - 2 * log_j + lam / mu * log_j**2))
+    found: Array = grown * (mu * F + (lam * log_j - mu) * np.swapaxes(np.linalg.inv(F), -1, -2))
     return found
 
 

@@ -43,7 +43,7 @@ BODIES: dict[str, Callable[[float], Body]] = {
 
 
 CASES = [(n, nu, 0.0) for n in BODIES for nu in (0.3, 0.49)]
-CASES += [("tet-10", 0.3, 2.0), ("half flap", 0.49, 2.0)]
+CASES += [("tet-10", 0.3, 1.0), ("half flap", 0.3, 2.0)]
 
 
 @pytest.fixture(scope="module", params=CASES, ids=str)
@@ -61,20 +61,26 @@ def resultant(body: Body, force: Array, nodes: NDArray[np.bool_]) -> Array:
 Case = tuple[Body, float]
 
 
+def grown(b: float, mu: float, lam: float, *stretches: float) -> float:
+    """How many times the neo-Hookean stress Fung's law has at these principal stretches."""
+    log_j = float(np.log(np.prod(stretches)))
+    return float(np.exp(b * (np.square(stretches).sum() - 3 - 2 * log_j + lam / mu * log_j**2)))
+
+
 # --- Homogeneous deformations
 
 
 @pytest.mark.parametrize("stretch", [0.7, 1.5])
 def test_uniaxial_stretch(case: Case, stretch: float) -> None:
-    """The lateral stretch makes the lateral stress zero; force is stress times area."""
+    """The lateral stretch makes the lateral stress zero; force is stress times area.
+
+    By Fung's law the same lateral stretch, and as many times the stress as its exponential says.
+    """
     body, poisson = case
     mu, lam = (float(v) for v in lame(np.array(MODULUS), np.array(poisson)))
 
-    def grown(t: float) -> float:
-        return float(np.exp(body.b * (stretch**2 + 2 * t**2 - 3 - 2 * np.log(stretch * t * t))))
-
     def lateral_stress(t: float) -> float:
-        return float(mu * grown(t) * (t * t - 1) + lam * np.log(stretch * t * t))
+        return float(mu * (t * t - 1) + lam * np.log(stretch * t * t))
 
     t = brentq(lateral_stress, 0.3, 3.0, xtol=1e-15)
     ends = body.face(0, False) | body.face(0, True)
@@ -83,7 +89,8 @@ def test_uniaxial_stretch(case: Case, stretch: float) -> None:
     guess = body.affine(np.diag([stretch, 1.03 * t, 0.97 * t]))
     u, force = relax(body.assembly(~prescribed), np.where(prescribed, target, guess))
     assert np.abs(u - target).max() < 1e-10 * SIZE[0]
-    P = mu * grown(t) * (stretch - 1 / stretch) + lam * np.log(stretch * t * t) / stretch
+    P = mu * stretch + (lam * np.log(stretch * t * t) - mu) / stretch
+    P *= grown(body.b, mu, lam, stretch, t, t)
     assert resultant(body, force, body.face(0, True))[0] == pytest.approx(P * SIZE[1] * SIZE[2], rel=1e-9)
     for stretches in body.whole.stretches(u):
         assert np.abs(stretches - np.sort([stretch, t, t])).max() < 1e-7
@@ -134,8 +141,8 @@ def test_homogeneous_pressure(case: Case, stretch: float) -> None:
     u[~prescribed] = 0.9 * target[~prescribed]
     solved, force = relax(body.assembly(~prescribed), u)
     assert np.abs(solved - target).max() < 1e-10 * SIZE[0]
-    grown = np.exp(3 * body.b * (stretch**2 - 1 - 2 * np.log(stretch)))
-    pressure = (mu * grown * (stretch**2 - 1) + 3 * lam * np.log(stretch)) / stretch**3
+    pressure = (mu * (stretch**2 - 1) + 3 * lam * np.log(stretch)) / stretch**3
+    pressure *= grown(body.b, mu, lam, stretch, stretch, stretch)
     for axis in range(3):
         area = stretch**2 * np.prod(np.delete(SIZE, axis))
         on_side = resultant(body, force, body.face(axis, True))[axis]
