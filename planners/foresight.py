@@ -22,7 +22,7 @@ from planners.whatif import Flaps
 from retract_env.grasp import Grasp, JawPath
 from retract_env.rod.distance import measured
 from retract_env.rod.follow import CLEAR, STRAIN, TOUCHES
-from retract_env.scene import Limits, Material, Scene
+from retract_env.scene import Limits, Scene
 
 Array = NDArray[np.float64]
 
@@ -88,7 +88,7 @@ def foresee(scene: Scene, proposals: Sequence[tuple[Grasp, JawPath]]) -> list[Fo
     known = [
         i
         for i, (grasp, _) in enumerate(proposals)
-        if scene.material == Material()
+        if scene.neo_hookean
         and (grasp.force is not None or grasp.compression <= FIRMEST * scene.tissue.height)
     ]
     out = [NOTHING] * len(proposals)

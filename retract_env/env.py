@@ -264,7 +264,7 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
         )
         self._settings = settings = read_settings(task, ranges, sensors, grip, unknowns)
         self.task_config = settings.task
-        self._scene, self._grasp = read_scene(scene), read_grasp(grasp)
+        self._scene, self._grasp = self._pool.kind.accepted(read_scene(scene)), read_grasp(grasp)
         if ranges is not None and self._scene != "random":
             raise ValueError("ranges: allowed with scene = 'random' alone")
         if sensors is not None and obs != "state":
@@ -315,7 +315,7 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
             scene = Scene.from_data(scene.dump() | {"line_of_sight": asked.line_of_sight})
         if z is None and settings.unknowns is not None:
             z = self.np_random.uniform(-1.0, 1.0, len(UNKNOWNS))
-        episode = self._begin(settings.prior(scene), z)
+        episode = self._begin(settings.prior(self._pool.kind.accepted(scene)), z)
         if grasp != "agent":
             episode.take(grasp if isinstance(grasp, Grasp) else None)
         self._over = False
@@ -325,7 +325,6 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
 
     def _begin(self, scene: Scene, z: NDArray[np.float64] | None) -> Episode:
         """A new episode, which is over until it can go on."""
-        self._pool.kind.check_scene(scene)
         if z is not None or self._task is None or self._task.z is not None or self._task.stated != scene:
             self._task = RetractionTask(scene, self.task_config, z)
         self._over, self._episode = True, Episode(self._task, self._pool)

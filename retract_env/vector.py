@@ -138,7 +138,7 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
         self.num_envs = int(num_envs)
         self._settings = settings = read_settings(task, ranges, sensors, grip, unknowns)
         self.task_config, self._ranges = settings.task, settings.ranges
-        source, self._grasp = read_scene(scene), read_grasp(grasp)
+        source, self._grasp = physics_kind("rod").accepted(read_scene(scene)), read_grasp(grasp)
         if ranges is not None and source != "random":
             raise ValueError("ranges: allowed with scene = 'random' alone")
         self.autoreset_mode = AutoresetMode(autoreset_mode)
@@ -242,11 +242,11 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
     def set_scene(self, k: int, scene: str | Mapping[str, Any] | Scene | None) -> None:
         """Give environment k this scene, "random" for a new one each time, from its next episode on.
 
-        Raises ValueError (SceneError) for another k or what is no scene.
+        Raises ValueError (SceneError) for another k, what is no scene or of a law that the rod does not know.
         """
         if not 0 <= k < self.num_envs:
             raise ValueError(f"k = {k!r}, allowed 0 to {self.num_envs - 1}")
-        self._sources[k] = read_scene(scene)
+        self._sources[k] = physics_kind("rod").accepted(read_scene(scene))
         self._special[k] = True
 
     def _prepare(self, k: int, asked: Options = NOTHING) -> None:

@@ -17,7 +17,7 @@ from baselines.cli.console import (
     usable_folder,
     writing,
 )
-from baselines.cli.robust import RobustOption, stated, worst_cases
+from baselines.cli.robust import RobustOption, check_stated, stated, worst_cases
 from baselines.cli.verdict import Clock, Resolution, VerifyOption, check_robust, report
 from baselines.jobs.files import write_json, written_whole
 
@@ -71,7 +71,7 @@ def certify_command(
             from retract_env.errors import MeshError
         scene, grasp, path = read_plan(plan_file)
         if robust:
-            scene.needs_neo_hookean("for a robust statement")
+            check_stated(scene)
         said = None if check is None else read_certificate(check)
         if out is not None:
             stack.enter_context(usable_folder(out.parent))

@@ -19,7 +19,7 @@ from baselines.cli.console import (
     writing,
 )
 from baselines.cli.plan import write_plan
-from baselines.cli.robust import hurts, percent, stated
+from baselines.cli.robust import check_stated, hurts, percent, stated
 from baselines.cli.verdict import Clock, ResolutionOption
 from baselines.cli.view import PAGE, page_of, write_page
 from baselines.jobs.files import written_whole
@@ -65,9 +65,9 @@ def compare_command(
             from retract_env.scene import SceneError, load_scene
         try:
             scene = load_scene(scene_name)
-            scene.needs_neo_hookean("for a robust statement")
         except SceneError as problem:
             raise BadInput(str(problem)) from None
+        check_stated(scene)
         folder = stack.enter_context(usable_folder(out))
         announce_compilation("fem", "planning")
         compared = []

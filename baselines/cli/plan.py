@@ -21,7 +21,7 @@ from baselines.cli.console import (
     usable_folder,
     writing,
 )
-from baselines.cli.robust import RobustOption, old_worst_cases, stated, worst_cases
+from baselines.cli.robust import RobustOption, check_stated, old_worst_cases, stated, worst_cases
 from baselines.cli.verdict import Clock, ResolutionOption, VerifyOption, check_robust, report
 from baselines.cli.view import page_of, write_page
 from baselines.jobs.files import write_json, written_whole
@@ -79,10 +79,10 @@ def plan_command(
             from retract_env.scene import SceneError, load_scene
         try:
             scene = load_scene(scene_name)
-            if robust:
-                scene.needs_neo_hookean("for a robust statement")
         except SceneError as problem:
             raise BadInput(str(problem)) from None
+        if robust:
+            check_stated(scene)
         folder = stack.enter_context(usable_folder(out))
         if html is not None:
             stack.enter_context(usable_folder(html.parent))

@@ -61,6 +61,7 @@ def play_command(
         from baselines.play.keeping import PlanFiles
         from baselines.play.scenes import named_scene, random_scene
         from baselines.play.window import Window, check_screen
+        from retract_env.physics.registry import physics_kind
 
         check_physics(physics)
         check_screen()
@@ -70,6 +71,7 @@ def play_command(
             return random_scene(next(numbers))
 
         dealt = named_scene(scene) if scene else deal()
+        physics_kind(physics).accepted(dealt.scene)
         folder = stack.enter_context(usable_folder(out.parent))
         recorder = _recorder(record, physics, dealt, stack) if record else None
         announce_compilation("fem", "planning", physics)

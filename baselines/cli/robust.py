@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from baselines.cli.console import BadInput
 from baselines.cli.words import FAILS, UNKNOWN
 
 if TYPE_CHECKING:
@@ -22,6 +23,17 @@ RobustOption = Annotated[
 ]
 NAMED = 2
 """Of what hurts most."""
+
+
+def check_stated(scene: Scene) -> None:
+    """Raise BadInput for a scene of which nothing robust can be stated."""
+    from planners.certify.robust import check_statable
+    from retract_env.errors import SceneError
+
+    try:
+        check_statable(scene)
+    except SceneError as problem:
+        raise BadInput(str(problem)) from None
 
 
 def stated(

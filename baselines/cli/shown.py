@@ -121,7 +121,9 @@ def _candidates(
         made = PATHS[kind](scene, at) if moves else None
         rows.append(_candidate(k, scene, one, at, made, at == grasp and one.get("reason") == "ok"))
         on_step()
-    if known and rod:
+    if not scene.neo_hookean:
+        note = "Only their numbers are kept: the rod does not know this tissue's law."
+    elif known and rod:
         note = "The rod, quick and approximate, shows how they move."
     elif known:
         note = "`retract view` on this plan's folder adds how they move, by the rod."

@@ -142,7 +142,7 @@ def check_scene(recipe: Recipe) -> None:
     settings = recipe.task
     kind = PHYSICS[settings.physics]
     kind.check(settings.resolution or kind.resolution)
-    read_scene(settings.scene)
+    kind.accepted(read_scene(settings.scene))
 
 
 def _legs(run: Run, folder: Path, agent: Agent, course: _Course, on_progress: OnProgress) -> Policy:

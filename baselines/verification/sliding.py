@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from retract_env.errors import Diverged, NotPositiveDefinite
 from retract_env.fem.linear import Factor, cholesky
 from retract_env.fem.model import FlapModel
+from retract_env.fem.solver import MOST_SHIFTS
 from retract_env.mesh import RESOLUTIONS, Resolution
 from retract_env.mesh.outlines import resolved_section
 from retract_env.mesh.section import edge_lengths
@@ -29,9 +30,10 @@ from retract_env.scene import Scene
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-STIFFNESS = 300.0
-"""Of both penalties per area, in E of the tissue over the jaws' width: pushes of a fifth of E give by less
-than a thousandth of the width."""
+STIFFNESS = 1000.0
+"""Of both penalties per area, in E of the tissue over the jaws' width: pushes of a fifth of E give by a
+five-thousandth of the width. With a third of it the surface of a firmly gripped flap creases under the end of
+a pad, where several equilibria exist on fine meshes; with more it does not."""
 SETTLED = 1e-4
 """Pushes have settled once none changes friction by more than this part of all friction."""
 MOST_ROUNDS, MOST_ITERATIONS = 60, 200
@@ -49,19 +51,22 @@ class SlidingFlap(FlapModel):
     """A flap between pads at given jaws (4,) m, to which its patches' nodes are bound by friction alone."""
 
     def __init__(self, scene: Scene, jaw_x: float, resolution: Resolution, friction: float):
-        """friction: Coulomb's coefficient of every node."""
+        """friction: Coulomb's coefficient of every node. Raises ValueError for jaws narrower than the flap is
+        deep, whose edge shares a level of nodes with what is free."""
+        if scene.jaws.depth is not None and scene.jaws.depth < scene.tissue.depth:
+            raise ValueError(f"jaws.depth = {scene.jaws.depth:g} m, allowed the flap's depth here")
         section = resolved_section(scene, jaw_x, resolution)
         nobody = np.empty(0, np.int32)
         super().__init__(scene, replace(section, patches=(nobody, nobody)), jaw_x, resolution)
         self.friction, prism, tissue = friction, self.prism, scene.tissue
-        held = np.flatnonzero(prism.z <= (scene.jaws.depth or tissue.depth) / 2 * (1 + 1e-9))
+        every = np.arange(prism.levels)
         along, area, at, pad = [], [], [], []
         for k, patch in enumerate(section.patches):
             edges = section.boundary[np.isin(section.boundary, patch).all(axis=1)]
             length = edge_lengths(section.points, edges)[patch]
-            along.append(np.tile(section.points[patch, 0] - jaw_x, len(held)))
-            area.append(np.outer(prism.depth_weight[held], length).ravel())
-            at.append(prism.x(patch, held))
+            along.append(np.tile(section.points[patch, 0] - jaw_x, prism.levels))
+            area.append(np.outer(prism.depth_weight, length).ravel())
+            at.append(prism.x(patch, every))
             pad.append(np.full(len(at[-1]), k))
         self.along, self.pad = np.concatenate(along), np.concatenate(pad)
         """(s,) of every node of a patch: m, from the middle of its pad, at rest; 0 for the lower pad's, or
@@ -74,8 +79,13 @@ class SlidingFlap(FlapModel):
         number = np.full(prism.size, -1)
         number[self.free] = np.arange(len(self.free))
         self._rows = self.assembly.indptr[number[self._x]], self.assembly.indptr[number[self._x + 1]]
+        beside = ~np.isin(self._bed, self._x + 1)  # between the bed and the patch is the lower jaw
+        self._bed, self._bed_stiffness = self._bed[beside], self._bed_stiffness[beside]
+        self._bed_diagonal = self._bed_diagonal[beside]
         self.slipped, self.most, self._welded = np.zeros_like(self.along), np.zeros_like(self.along), False
         """(s,) m, how far nodes have slipped along their pads; (s,) N, the most that friction may hold"""
+        self.sliding = np.zeros(len(self.along), bool)
+        """(s,) whether friction held a node no more when all was last let slip"""
         self.put(np.array([jaw_x, 0.0, jaw_x, tissue.height]))
 
     def put(self, jaws: Array) -> None:
@@ -115,6 +125,7 @@ class SlidingFlap(FlapModel):
     def slip(self, u: Array) -> None:
         """Let nodes stay where they have slid to."""
         along, _ = self.places(u)
+        self.sliding = np.abs(self.holding(u)[0]) >= (1 - 10 * SETTLED) * self.most
         self.slipped = along - self.holding(u)[0] / self._stiffness
 
     def _bound(self, u: Array) -> tuple[Array, Array]:
@@ -201,7 +212,7 @@ def slid(scene: Scene, frames: Sequence[TissueState], friction: float, resolutio
             closed = model.slipped
         levels = np.array([model.positions(u, k) for k in range(model.prism.levels)])
         states.append(measures.state(u, frame.jaws, model.on_jaws(u), levels, frame.progress))
-    push, slides = model.holding(u)[1], model.slides(u)
+    push = model.holding(u)[1]
 
     def most(which: Flags) -> float:
         return max(
@@ -214,7 +225,7 @@ def slid(scene: Scene, frames: Sequence[TissueState], friction: float, resolutio
         max(float(state.required_friction.max()) for state in states if state.progress >= 1),
         states[-1].clearance,
         float(np.abs(model.slipped - closed).max()),
-        most(slides & (push > 0)),
+        most(model.sliding & (push > 0)),
         most(push <= 0),
     )
 
@@ -259,8 +270,8 @@ def _settled(model: SlidingFlap, factor: Factor, u: Array, jaws: Array) -> Array
         if np.abs(off).sum() <= SETTLED * most.sum():
             model.slip(u)
             return u
-        if before is not None:  # Aitken's relaxation: pushes that swing are followed less
-            swing = off - before
+        if before is not None and (off != before).any():
+            swing = off - before  # Aitken's relaxation: pushes that swing are followed less
             weight = float(np.clip(-weight * (before @ swing) / (swing @ swing), LEAST_WEIGHT, 1.0))
         model.most = model.most + weight * off
     raise Diverged("friction does not settle")
@@ -275,16 +286,7 @@ def _equilibrium(model: SlidingFlap, factor: Factor, u: Array) -> Array:
     if not np.isfinite(energy):
         raise Diverged("the first guess turns elements inside out")
     for _ in range(MOST_ITERATIONS):
-        values = model.tangent(u)
-        shift = 0.0
-        while True:
-            try:
-                factor.factorize(values)
-                break
-            except NotPositiveDefinite:
-                grown = max(10 * shift, 1e-4 * float(np.abs(values[diagonal]).mean()))
-                values[diagonal] += grown - shift
-                shift = grown
+        _factorise(factor, model.tangent(u), diagonal)
         step = np.zeros_like(u)
         step[free] = -factor.solve(force[free])
         slope = float(force @ step)
@@ -301,3 +303,17 @@ def _equilibrium(model: SlidingFlap, factor: Factor, u: Array) -> Array:
                 raise Diverged("the line search found no lower energy")
         u, energy, force = trial, trial_energy, trial_force
     raise Diverged(f"no equilibrium in {MOST_ITERATIONS} iterations")
+
+
+def _factorise(factor: Factor, values: Array, diagonal: NDArray[np.int32]) -> None:
+    """The tangent's values, shifted until they are positive definite. Raises Diverged."""
+    shift = 0.0
+    for _ in range(MOST_SHIFTS):
+        try:
+            factor.factorize(values)
+            return
+        except NotPositiveDefinite:
+            grown = max(10 * shift, 1e-4 * float(np.abs(values[diagonal]).mean()))
+            values[diagonal] += grown - shift
+            shift = grown
+    raise Diverged("the tangent is not finite")

@@ -179,6 +179,12 @@ def levels(f: Followed) -> tuple[Array, NDArray[np.object_]]:
     return np.where(surely, -2.0, out), f.at(0.0)[3]
 
 
+def check_statable(scene: Scene) -> None:
+    """Raise SceneError for tissue of which nothing can be stated: distances of rod and finite elements were
+    measured on the neo-Hookean law."""
+    scene.needs_neo_hookean("for a robust statement")
+
+
 def statement(
     scene: Scene,
     grasp: Grasp,
@@ -194,7 +200,7 @@ def statement(
     MOST_JUDGED draws, and all others count as failing. Raises SceneError for tissue of another law than the
     rod's.
     """
-    scene.needs_neo_hookean("for a robust statement")
+    check_statable(scene)
     z = draws(asked.samples, asked.seed)
     corrected = corrected_by(scene, grasp, path, certificate.history)
     if corrected is None:

@@ -15,7 +15,7 @@ from typing import Any
 from planners.certify.certificate import MESH_ERRORS, PATCH_SLIP, REASONS, Certificate
 from planners.certify.moving import DAMPING, NOWHERE, Start, check_motion, moving, way_long
 from planners.certify.retraction import FRICTION_TOLERANCE, STRAIN_TOLERANCE, Retraction
-from planners.certify.robust import OnJudged, Robust, statement
+from planners.certify.robust import OnJudged, Robust, check_statable, statement
 from retract_env.grasp import Grasp, JawPath
 from retract_env.scene import Scene
 
@@ -61,7 +61,7 @@ class Trial(Retraction):
             peaks=self._peaks(),
             clearance_limit=limits.clearance,
             margins={
-                "mesh": MESH_ERRORS.get(self.resolution),
+                "mesh": MESH_ERRORS.get(self.resolution) if self.scene.neo_hookean else None,
                 "peaks": {"strain": STRAIN_TOLERANCE, "friction": FRICTION_TOLERANCE},
                 "patch_slip": PATCH_SLIP,
             },
@@ -111,7 +111,7 @@ def certify(
     """
     trial = Trial(scene, grasp, path, resolution)
     if robust:
-        scene.needs_neo_hookean("for a robust statement")
+        check_statable(scene)
     if speed is not None:
         check_motion(scene, speed)
     if verify and resolution not in FINER:

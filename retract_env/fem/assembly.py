@@ -8,12 +8,16 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from retract_env.compilation import announce
 from retract_env.fem import fung, kernels
 from retract_env.fem.elements import ElementBlock
 from retract_env.fem.stretches import greatest_strains, principal_stretches
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int32]
+
+COMPILES = 15.0
+"""s that the kernels of Fung's law take to compile."""
 
 
 def block_triangle(na: int, nz: int) -> tuple[Ints, Ints]:
@@ -42,6 +46,8 @@ class Assembly:
         """free: sorted positions in u of the unknowns to solve for; b: of Fung's law, 0 for the neo-Hookean
         one."""
         self.blocks, self.b = tuple(blocks), b
+        if b:
+            announce(fung.tangent, "the kernels of Fung's law", COMPILES)
         self.size = size
         self.free = np.asarray(free, np.int32)
         number = np.full(size, -1, np.int32)

@@ -1,9 +1,9 @@
 """Compiled kernels: what Fung's law adds to the neo-Hookean solid of `kernels`.
 
-The law is an exponential of the whole neo-Hookean energy W0, so that what that leaves free of stress stays so,
-whatever b: W = mu/(2 b) (exp(2 b W0 / mu) - 1). With e = exp(2 b W0 / mu) its stress is e P0. To the energy
-W - W0 is added, to the stress (e - 1) P0, and to the tangent, between shape function a in direction i and b in
-direction k, with K = P0 G and g = F^-T G,
+The law is an exponential of the whole neo-Hookean energy W0, so that what that leaves free of stress stays
+so: W = mu/(2 b) (exp(2 b W0 / mu) - 1). With e = exp(2 b W0 / mu) its stress is e P0. To the energy W - W0 is
+added, to the stress (e - 1) P0, and to the tangent, between shape function a in direction i and b in k, with
+K = P0 G and g = F^-T G,
 
     (e - 1) (mu (G_a . G_b) delta_ik + lambda g_a[i] g_b[k] + (mu - lambda ln J) g_a[k] g_b[i])
     + 2 b/mu e K_a[i] K_b[k].

@@ -11,12 +11,13 @@ import importlib.util
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
     from retract_env.physics.base import Physics, TissueState
     from retract_env.scene import Scene
 
+Given = TypeVar("Given", bound="Scene | str")
 
 _IN_A_CHECKOUT = not (Path(__file__).parents[1] / "configs").is_dir()
 BULLET = "make bullet" if _IN_A_CHECKOUT else 'pip install "retract[bullet]"'
@@ -73,10 +74,12 @@ class PhysicsKind:
         if resolution not in self.resolutions:
             raise ValueError(f"resolution = {resolution!r}, allowed {', '.join(self.resolutions)}")
 
-    def check_scene(self, scene: Scene) -> None:
-        """Raise SceneError for tissue of a law that it does not know."""
-        if not self.any_law:
+    def accepted(self, scene: Given) -> Given:
+        """The scene, or the word that stands for one. Raises SceneError for tissue of a law that this physics
+        does not know."""
+        if not self.any_law and not isinstance(scene, str):
             scene.needs_neo_hookean(f"on {self.about}")
+        return scene
 
     def make(
         self,
@@ -86,15 +89,14 @@ class PhysicsKind:
         stop_when: Callable[[TissueState], bool] | None = None,
         force: float | None = None,
     ) -> Physics:
-        """One flap between jaws at jaw_x, m. Raises as `check_scene` and its constructor.
+        """One flap between jaws at jaw_x, m. Raises as `accepted` and its constructor.
 
         stop_when: where a move cannot be made whole, it ends at the first state on its way that this is true
         of. force: N, that the jaws hold by, whatever separation they are told; None: by the separation.
         """
-        self.check_scene(scene)
         # one of another package may know no force, which is its own to say
         held = {} if force is None else {"force": force}
-        physics: Physics = self.load()(scene, jaw_x, resolution, stop_when=stop_when, **held)
+        physics: Physics = self.load()(self.accepted(scene), jaw_x, resolution, stop_when=stop_when, **held)
         return physics
 
 

@@ -164,7 +164,7 @@ class Material(_Part):
     """The hyperelastic law of tissue and veins; their moduli are those of small strain under any.
 
     "neo-hookean": W0 = mu/2 (I1 - 3) - mu ln J + lambda/2 (ln J)^2. "fung", after Fung (1967), isotropic:
-    W = mu/(2 b) (exp(2 b W0 / mu) - 1), which is as stiff at first, narrows as much where it is stretched, and
+    W = mu/(2 b) (exp(2 b W0 / mu) - 1), which is as stiff at first, narrows as much when it is stretched, and
     has exp(2 b W0 / mu) times the stress: for b = 2, 8, 20, where nu = .45, it is 1.1, 1.6 and 3.3 times as
     much in tissue that is 15 % longer, and 1.6, 5.7 and 79 times where that is 25 % shorter.
     """

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from retract_env import scenarios
 from retract_env.grasp import Grasp
+from retract_env.physics.registry import physics_kind
 from retract_env.physics.rod import flap_numbers, laws, sight_numbers
 from retract_env.rod.block import STATE, new_blocks
 from retract_env.rod.chain import LANES
@@ -132,7 +133,7 @@ class Flaps:
 
     def put(self, k: int, scene: Scene) -> None:
         """Give environment k this scene. Raises SceneError for one whose law the rod does not know."""
-        scene.needs_neo_hookean("on a planar rod")
+        physics_kind("rod").accepted(scene)
         vertices, offsets, moduli = veins_of(scene.tissue)
         self._make_room(len(vertices), len(moduli))
         lanes = self.lanes

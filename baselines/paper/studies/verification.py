@@ -30,6 +30,7 @@ from baselines.verification.solution import (
     converged,
     on_mesh,
 )
+from planners.certify.certificate import PATCH_SLIP
 from retract_env.drawing.palette import GREY, VALUE
 
 WORDS = {"max_strain": "eps_max", "required_friction": "needed friction", "clearance": "clearance"}
@@ -112,6 +113,14 @@ def _report(rows: Sequence[Row]) -> Report:
                 "yes" if off <= ALLOWED[quantity] else "no",
             )
         )
+    most = max(_slipped(row)[1] / number(row["friction_rigid"]) for row in slips)
+    claims.append(
+        Claim(
+            f"Patches that slip node by node need at most {100 * PATCH_SLIP:.2g} % more friction than whole",
+            f"at most {100 * most:.2g} %",
+            "yes" if most <= PATCH_SLIP else "no",
+        )
+    )
     return Report(
         "Verification",
         "Are the equations solved right? *Code*: closed forms, rates of convergence and laws, each with a "

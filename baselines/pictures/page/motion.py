@@ -23,7 +23,7 @@ from retract_env.grasp import Grasp, JawPath
 from retract_env.objectives import verdict
 from retract_env.physics.base import TissueState
 from retract_env.physics.fem import FemPhysics
-from retract_env.scene import Material, Scene
+from retract_env.scene import Scene
 
 if TYPE_CHECKING:
     from planners.certify import Certificate
@@ -136,7 +136,7 @@ def followed_by_rod(scene: Scene, grasp: Grasp, path: JawPath) -> Motion | None:
     equilibrium even with the jaws closed, or does not know the tissue's law."""
     from retract_env.physics.rod import RodPhysics
 
-    if scene.material != Material():
+    if not scene.neo_hookean:
         return None
     physics = RodPhysics(scene, grasp.x, force=grasp.force)
     states: list[TissueState] = []

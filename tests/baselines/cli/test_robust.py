@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 import planners
 from baselines.cli import main
@@ -198,6 +199,19 @@ def test_a_grip_or_a_time_that_is_not_taken_is_one_line(
     assert main(["plan", "homogeneous", "--time", "-1", "--out", str(tmp_path / "out")]) == 2
     assert "error: --time = -1 s, allowed (0, 86400] s" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_of_another_law_nothing_robust_is_stated(
+    plan: Plan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    fung = plan.scene.dump() | {"material": {"law": "fung", "stiffening": 4.0}}
+    (tmp_path / "fung.yaml").write_text(yaml.safe_dump(fung))
+    (tmp_path / "plan.json").write_text(json.dumps(plan.to_json() | {"scene": fung}))
+    scene, plan_file = str(tmp_path / "fung.yaml"), str(tmp_path / "plan.json")
+    for command in (["plan", scene, "--robust"], ["certify", plan_file, "--robust"], ["compare", scene]):
+        assert main(command) == 2
+        said = "error: material.law = 'fung', allowed 'neo-hookean' for a robust statement\n"
+        assert capsys.readouterr().err == said
 
 
 @pytest.mark.usefixtures("few")

@@ -138,10 +138,20 @@ def test_a_run_that_cannot_begin_leaves_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_scene_that_is_not_there_is_refused_before_anything_is_made(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("scene", "said"),
+    [
+        ("nowhere.yaml", r"nowhere\.yaml"),
+        (default_scene().dump() | {"material": {"law": "fung", "stiffening": 4.0}}, "on a planar rod"),
+    ],
+    ids=["not there", "of another law"],
+)
+def test_a_scene_that_cannot_be_had_is_refused_before_anything_is_made(
+    scene: object, said: str, tmp_path: Path
+) -> None:
     run = tiny("ppo")
-    data = run.recipe.dump() | {"task": {"scene": "nowhere.yaml"}}
-    with pytest.raises(SceneError, match=r"nowhere\.yaml"):
+    data = run.recipe.dump() | {"task": {"physics": "rod", "scene": scene}}
+    with pytest.raises(SceneError, match=said):
         train.train(replace(run, recipe=type(run.recipe).from_data(data)), tmp_path / "run")
     assert list(tmp_path.iterdir()) == []
 

@@ -152,7 +152,8 @@ def test_a_ray_cluster_of_two_nodes_finds_the_same(lost: bool, whole: Path, tmp_
         "    while not any(p.stat().st_size for p in pathlib.Path(sys.argv[1]).glob('*.jsonl')):\n"
         "        time.sleep(0.05)\n"
         "    cluster.remove_node(other, allow_graceful=False)\n"
-        "    print('lost', flush=True)\n"
+        "    done = sum(p.read_text().count('\\n') for p in pathlib.Path(sys.argv[1]).glob('*.jsonl'))\n"
+        "    print('lost after', done, flush=True)\n"
         "if sys.argv[2] == 'True':\n"
         "    threading.Thread(target=lose, daemon=True).start()\n"
         "command = ['reproduce', SMALL, '--resolution', 'coarse', '--out', sys.argv[1]]\n"
@@ -164,7 +165,8 @@ def test_a_ray_cluster_of_two_nodes_finds_the_same(lost: bool, whole: Path, tmp_
         [sys.executable, "-c", code, str(tmp_path), str(lost)], cwd=ROOT, check=True, timeout=PATIENCE,
         env=os.environ | {"PYTHONPATH": str(ROOT)}, stdout=subprocess.PIPE, text=True,
     )  # fmt: skip
-    assert ("lost" in done.stdout.splitlines()) == lost
+    before = [int(line.split()[-1]) for line in done.stdout.splitlines() if line.startswith("lost after")]
+    assert len(before) == lost and all(rows < len(small_experiments()) - 1 for rows in before)
     assert results(tmp_path) == results(whole)
 
 

@@ -109,6 +109,8 @@ def test_where_friction_is_less_than_the_jaws_need_they_pull_with_all_of_it_and_
     scene: Scene, lifted: Retraction, frames: Sequence[TissueState]
 ) -> None:
     too_little = 0.6 * lifted.required_friction
+    slipping = slid(scene, frames[: len(frames) // 2], too_little, "coarse")  # while the jaws pull ever more
+    assert slipping.sliding == pytest.approx(1, abs=0.05) and slipping.lifted == 0
     found = slid(scene, frames, too_little, "coarse")
     assert found.required_friction == pytest.approx(too_little, rel=1e-4)
     assert found.creep > 0.1 * scene.jaws.width and found.clearance < lifted.frames[-1].clearance - 1e-3

@@ -114,11 +114,14 @@ def test_the_page_says_what_is_within_its_tolerance(off: float, agrees: str) -> 
     report = asked.report(rows(off))
     strain = next(claim for claim in report.claims if claim.said.startswith("eps_max"))
     assert strain.agrees == agrees and f"{100 * off / (1 + off):.2g} %" in strain.found
+    by_node = report.claims[-1]
+    assert by_node.said.startswith("Patches that slip") and by_node.found == "at most 20 %"
+    assert by_node.agrees == "no"
     text = page(asked, report, "fine")
     in_time = text.partition("### In time")[2].splitlines()
     assert sum(line.endswith("| 10 | +50.0 % | +0.050 | +300.00 |") for line in in_time) == 2 * len(MOTIONS)
-    by_node = text.partition("### Node by node")[2].splitlines()
-    assert sum(line.endswith("| +50.0 % | +0.050 | 10 | 50 % | 10 % | +100.00 |") for line in by_node) == 4
+    told = text.partition("### Node by node")[2].splitlines()
+    assert sum(line.endswith("| +50.0 % | +0.050 | 10 | 50 % | 10 % | +100.00 |") for line in told) == 4
     assert "## Code" in text and "## Solution" in text and "## Model" in text and "nan" not in text
     assert {line["holds"] for line in report.table if line["group"] == "code"} == {"yes"}
 
