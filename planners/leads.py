@@ -16,7 +16,7 @@ from planners.paths import PathOf
 from planners.proposals import stable_grasps
 from retract_env.grasp import Grasp
 from retract_env.mesh import jaw_range
-from retract_env.scene import Scene
+from retract_env.scene import Material, Scene
 
 Array = NDArray[np.float64]
 
@@ -36,7 +36,8 @@ def lightest(scene: Scene, path_of: PathOf, allowed: float, count: int) -> list[
     places = sorted({*places, *(grasp.x for grasp in stable_grasps(scene))})
     compressions = np.geomspace(LIGHTEST, FIRMEST, GRIPS) * height
     grasps = [Grasp(x, delta) for x, delta in product(places, compressions.tolist())]
-    found = foresee(scene, [(grasp, path_of(scene, grasp)) for grasp in grasps])
+    guessed = scene.model_copy(update={"material": Material()})  # places to begin from, whatever the law
+    found = foresee(guessed, [(grasp, path_of(scene, grasp)) for grasp in grasps])
     held = []
     for k, x in enumerate(places):
         rows = found[k * GRIPS : (k + 1) * GRIPS]
