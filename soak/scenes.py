@@ -24,7 +24,8 @@ def wide_scene(number: int) -> dict[str, Any]:
 
     0.5 to 20 mm thick, 500 Pa to 10 MPa, veins up to 1000 times as stiff or as soft as 1/10, none to 40 of
     them: inside, at a surface, through the whole height or touching one another. Lines of 5 to 90 degrees, B
-    near either end, gravity up to 50 m/s^2, with or without a bed, jaws of every width, friction .01 to 3.
+    near either end, gravity up to 50 m/s^2, with or without a bed, jaws of every width, friction .01 to 3. One
+    in ten is of Fung's law.
     """
     rng = np.random.default_rng(SEED + number)
     height = _log(rng, 5e-4, 2e-2)
@@ -60,6 +61,7 @@ def wide_scene(number: int) -> dict[str, Any]:
         },
         "gravity": float(rng.choice([0.0, 9.8, rng.uniform(0.0, 50.0)])),
         "bed": bool(rng.random() < 0.8),
+        "material": {"law": "fung", "stiffening": _log(rng, 0.5, 20.0)} if number % 10 == 9 else {},
     }
 
 
