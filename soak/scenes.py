@@ -24,8 +24,8 @@ def wide_scene(number: int) -> dict[str, Any]:
 
     0.5 to 20 mm thick, 500 Pa to 10 MPa, veins up to 1000 times as stiff or as soft as 1/10, none to 40 of
     them: inside, at a surface, through the whole height or touching one another. Lines of 5 to 90 degrees, B
-    near either end, gravity up to 50 m/s^2, with or without a bed, jaws of every width, friction .01 to 3. One
-    in ten is of Fung's law.
+    near either end, gravity up to 50 m/s^2, with or without a bed, jaws of every width, friction .01 to 3. A
+    tenth is of Fung's law.
     """
     rng = np.random.default_rng(SEED + number)
     height = _log(rng, 5e-4, 2e-2)
