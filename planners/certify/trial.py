@@ -22,8 +22,9 @@ from retract_env.scene import Scene
 FINER = {"coarse": "medium", "medium": "fine", "fine": "finer"}
 VERIFIED_IN = 4
 """Parts of an increment when a certificate is verified."""
-ROUNDING = 1e-6
-"""Between the same retraction on two machines, as a part, or in SI units; on one machine there is none."""
+ROUNDING = 1e-4
+"""Between the same retraction on two kinds of processors, as a part, or in SI units; on one there is none. Of
+retractions that cross no bifurcation: five of six keep to it in all increments (benchmarks/machines.py)."""
 
 
 class Trial(Retraction):

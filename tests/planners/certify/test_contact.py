@@ -9,11 +9,12 @@ import pytest
 import shapely
 from numpy.typing import NDArray
 
+from baselines.benchmark.splits import load_benchmark
 from baselines.verification.flaps import HEIGHT
 from baselines.verification.sections import grid_section
 from planners.certify import Certificate, Retraction, certify
 from planners.paths import ctc, linear
-from retract_env.grasp import JawPath
+from retract_env.grasp import Grasp, JawPath
 from retract_env.objectives import IN_BLOCK, inside_block, verdict
 from retract_env.physics.measures import EDGE, doubled, outline_ring
 from retract_env.physics.rod import RodPhysics
@@ -117,6 +118,13 @@ def test_pads_keep_tissue_from_passing_through_them(
     crease = max(f.crease for f in certificate.frames)
     assert (crease < (EDGE * 1e-3) ** 2) == (stiffness > 0)
     assert (certificate.reason == "contact") == (stiffness == 0)
+
+
+def test_a_flap_that_snaps_where_pads_begin_to_push_is_followed() -> None:
+    """Newton's method takes more than 40 iterations there, whatever the increment."""
+    scene = load_benchmark("benchmark").splits["test"].scenes(10)[9]
+    grasp = Grasp(-0.5 * scene.tissue.length, 0.25 * scene.tissue.height)
+    assert certify(scene, grasp, linear(scene, grasp, math.radians(60))).reason == "ok"
 
 
 def test_tissue_in_tissue_is_refused() -> None:
