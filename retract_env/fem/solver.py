@@ -29,8 +29,8 @@ STRAIN_TOLERANCE = 1e-5
 MOST_SHIFTS = 20
 """Tries to make a tangent positive definite, each with ten times the shift of the one before."""
 MOST_ITERATIONS = 100
-"""For one equilibrium. Most take less than 10; where a firm grip's pads begin to push, the flap snaps from one
-shape to another, and that may take 50."""
+"""For one equilibrium. Most take less than 10; where a firm grip's pads begin to push, the flap snaps from
+one shape to another, and that may take 50."""
 SLOW = 0.85
 """An iteration that leaves more than this part of the residual is followed by a new factorisation, which
 takes as long as five. Certificates at fine need 10 % less work than with 0.7, and 20 % less than with 0.5."""
