@@ -77,7 +77,7 @@ BUGS: Mapping[str, Bug] = {
         "retract_env/fem/contact.py", "force[p] -= push * tx", "force[p] += push * tx", FEM
     ),
     "Fung's stress doubled": Bug(
-        "retract_env/fem/fung.py", "I[l] = m * more\n", "I[l] = 2.0 * m * more\n", FEM
+        "retract_env/fem/fung.py", "Q[l] = w[l] * more\n", "Q[l] = 2.0 * w[l] * more\n", FEM
     ),
     "friction from one jaw only": Bug(
         "retract_env/objectives.py",

@@ -62,7 +62,7 @@ class Certificate:
     clearance_limit: float = 0.0
     """m"""
     margins: dict[str, Any] | None = None
-    """what the judge itself may be off by: `mesh` (MESH_ERRORS; None on meshes that were not compared),
+    """what the judge itself may be off by: `mesh` (MESH_ERRORS; None where nothing was compared),
     `peaks` between increments, `patch_slip`. The verdict does not include them"""
     robust: dict[str, Any] | None = None
     """what is said of flaps that are not quite as the scene says (`planners.certify.robust`); None unless

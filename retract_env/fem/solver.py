@@ -28,9 +28,9 @@ STRAIN_TOLERANCE = 1e-5
 """Newton stops once the error's energy is below that of this strain in 1 % of the flap's volume."""
 MOST_SHIFTS = 20
 """Tries to make a tangent positive definite, each with ten times the shift of the one before."""
-MOST_ITERATIONS = 100
-"""For one equilibrium. Most take less than 10; where a firm grip's pads begin to push, the flap snaps from
-one shape to another, and that may take 50."""
+MOST_ITERATIONS = 40
+"""For one equilibrium; most take less than 10. Better a smaller step than more of them, which may lead to an
+equilibrium far away."""
 SLOW = 0.85
 """An iteration that leaves more than this part of the residual is followed by a new factorisation, which
 takes as long as five. Certificates at fine need 10 % less work than with 0.7, and 20 % less than with 0.5."""

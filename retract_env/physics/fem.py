@@ -18,6 +18,7 @@ from retract_env.fem.beam import BeamGuess
 from retract_env.fem.model import FlapModel
 from retract_env.fem.press import closing, equilibrate, pressing
 from retract_env.fem.rest import come_to_rest
+from retract_env.fem.solver import MOST_ITERATIONS as SOLVER_ITERATIONS
 from retract_env.fem.solver import Equilibrium, Kept
 from retract_env.grasp import to_jaws, to_pose
 from retract_env.mesh import RESOLUTIONS, Resolution, SectionMesh
@@ -30,6 +31,9 @@ Array = NDArray[np.float64]
 
 SMALLEST_CUT = 1 / 64
 """Part of a step below which it is not cut any further."""
+PATIENCE = 100
+"""Iterations for one equilibrium of a move, where steps are cut no further. Where a firm grip's pads begin to
+push, the flap snaps over; no step is then small enough, and where it snaps to takes 40 to 60."""
 FIRST_PART = 0.3
 """Part of a step that is tried first after a corner of the path."""
 MOST_ITERATIONS, MOST_WORK = 400, 4_000_000
@@ -168,7 +172,7 @@ class FemPhysics:
         # With one equilibrium to look back on, the tangent predicts: small steps first, until two or more of
         # them predict better.
         corner = len(self._history) == 1 or (progress is None and bool(self._history))
-        done, part = 0.0, FIRST_PART if corner else 1.0
+        done, part, patient = 0.0, FIRST_PART if corner else 1.0, False
         start = time.perf_counter()
         try:
             while done < 1.0:
@@ -182,14 +186,20 @@ class FemPhysics:
                 except Diverged:
                     part /= 2
                     self._history.clear()
-                    if part < SMALLEST_CUT:
-                        raise
+                    if part < SMALLEST_CUT or counts["iterations"] > last:
+                        if patient:
+                            raise
+                        patient, part = True, max(part, SMALLEST_CUT)
+                        self.equilibrium.max_iterations = PATIENCE
+                        last += PATIENCE
                 else:
                     done = share
+                    self.equilibrium.max_iterations = SOLVER_ITERATIONS
                     if done < 1.0 and self._stop_when is not None and self._stop_when(self.state()):
                         return self.state()
                     part *= 3
         finally:
+            self.equilibrium.max_iterations = SOLVER_ITERATIONS
             self.seconds["equilibrium"] += time.perf_counter() - start
         self._pose = self._with_separation(pose, self._pose[3])
         return self.state()

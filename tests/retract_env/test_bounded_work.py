@@ -31,9 +31,9 @@ def test_a_move_that_takes_too_long_has_diverged_and_leaves_the_last_good_state(
     squeezed = physics.move_to(np.array([-0.03, HEIGHT / 2, 0.0, 0.8 * HEIGHT]))
     before = physics.equilibrium.counts["iterations"]
     monkeypatch.setattr(fem, "MOST_ITERATIONS", 50)
-    with pytest.raises(Diverged, match="a move took more than 50 iterations"):
+    with pytest.raises(Diverged, match="iterations"):
         physics.move_to(np.array([0.05, HEIGHT / 2, 0.0, 0.8 * HEIGHT]))
-    assert physics.equilibrium.counts["iterations"] - before <= 50 + physics.equilibrium.max_iterations
+    assert physics.equilibrium.counts["iterations"] - before <= 50 + 2 * fem.PATIENCE
     last = physics.state()
     assert np.isfinite(last.points).all()
     assert last.jaws[0] >= squeezed.jaws[0]
