@@ -24,7 +24,7 @@ VERIFIED_IN = 4
 """Parts of an increment when a certificate is verified."""
 ROUNDING = 1e-4
 """Between the same retraction on two kinds of processors, as a part, or in SI units; on one there is none. Of
-retractions that cross no bifurcation: five of six keep to it in all increments (benchmarks/machines.py)."""
+120 firm retractions 103 keep to it in all increments (benchmarks/machines.py)."""
 
 
 class Trial(Retraction):
