@@ -33,10 +33,11 @@ def guided(task: WorkItem) -> Row:
     with tempfile.TemporaryDirectory() as folder:
         name, sound, beside = sound_file(task["kind"])
         seeds, place = Path(folder) / "seeds", Path(folder) / "place"
-        for file, content in {seeds / name: sound, **{place / o: c for o, c in beside.items()}}.items():
-            file.parent.mkdir(exist_ok=True)
-            file.write_bytes(content)
-        place.mkdir(exist_ok=True)
+        seeds.mkdir()
+        place.mkdir()
+        (seeds / name).write_bytes(sound)
+        for other, content in beside.items():
+            (place / other).write_bytes(content)
         command = [sys.executable, "-m", "soak.fuzzed", task["kind"], str(task["runs"]), folder, name]
         try:
             done = subprocess.run(

@@ -124,9 +124,9 @@ class SlidingFlap(FlapModel):
 
     def slip(self, u: Array) -> None:
         """Let nodes stay where they have slid to."""
-        along, _ = self.places(u)
-        self.sliding = np.abs(self.holding(u)[0]) >= (1 - 10 * SETTLED) * self.most
-        self.slipped = along - self.holding(u)[0] / self._stiffness
+        (along, _), (drag, _) = self.places(u), self.holding(u)
+        self.sliding = np.abs(drag) >= (1 - 10 * SETTLED) * self.most
+        self.slipped = along - drag / self._stiffness
 
     def _bound(self, u: Array) -> tuple[Array, Array]:
         """(s,) N/m, stiffness of what holds the nodes, along the pads and into them."""
@@ -143,7 +143,7 @@ class SlidingFlap(FlapModel):
         along, _ = self.places(u)
         beyond = 0.0 if self._welded else np.abs(drag) * (np.abs(along - self.slipped) - np.abs(drag) / k)
         energy += float(((drag**2 + push**2) / (2 * k) + beyond).sum())
-        pull = self._pull(u)
+        pull = self._pull(drag, push)
         force[self._x] += pull[:, 0]
         force[self._x + 1] += pull[:, 1]
         return energy, force
@@ -160,12 +160,11 @@ class SlidingFlap(FlapModel):
 
     def on_jaws(self, u: Array) -> Array:
         """(2, 2) N, force of the tissue on the lower and the upper jaw over the whole depth."""
-        pull = self._pull(u)
+        pull = self._pull(*self.holding(u))
         return np.array([2 * pull[self.pad == k].sum(axis=0) for k in range(2)])
 
-    def _pull(self, u: Array) -> Array:
-        """(s, 2) N, what nodes pull at their pads with, over half the depth."""
-        drag, push = self.holding(u)
+    def _pull(self, drag: Array, push: Array) -> Array:
+        """(s, 2) N, what nodes pull at their pads with that drag and press so."""
         pull: Array = drag[:, None] * self._tangent + (push * _TOWARDS[self.pad])[:, None] * self._axis
         return pull
 
@@ -266,7 +265,6 @@ def _settled(model: SlidingFlap, factor: Factor, u: Array, jaws: Array) -> Array
         u = _equilibrium(model, factor, u)
         most = model.friction * model.holding(u)[1]
         before, off = off, most - model.most
-
         if np.abs(off).sum() <= SETTLED * most.sum():
             model.slip(u)
             return u

@@ -113,7 +113,7 @@ def _report(rows: Sequence[Row]) -> Report:
                 "yes" if off <= ALLOWED[quantity] else "no",
             )
         )
-    most = max(_slipped(row)[1] / number(row["friction_rigid"]) for row in slips)
+    most = max(_against(row, "rigid")[1] / number(row["friction_rigid"]) for row in slips)
     claims.append(
         Claim(
             f"Patches that slip node by node need at most {100 * PATCH_SLIP:.2g} % more friction than whole",
@@ -182,16 +182,16 @@ def _model_lines(rows: Sequence[Row]) -> list[dict[str, object]]:
     ]
 
 
-def _in_time(row: Row) -> tuple[float, float]:
-    """Strain over that of the certificate, less 1; change of friction."""
-    strain = number(row["max_strain"]) / number(row["strain_slow"]) - 1
-    return strain, number(row["required_friction"]) - number(row["friction_slow"])
+def _against(row: Row, plain: str) -> tuple[float, float]:
+    """Strain over that of the certificate, "slow" or "rigid", less 1; change of friction."""
+    strain = number(row["max_strain"]) / number(row[f"strain_{plain}"]) - 1
+    return strain, number(row["required_friction"]) - number(row[f"friction_{plain}"])
 
 
 def _time_lines(row: Row) -> list[dict[str, object]]:
     what, (strain, friction) = (
         f"{row['what']}, {row['start']}, in {number(row['seconds']):g} s",
-        _in_time(row),
+        _against(row, "slow"),
     )
     return [
         _line("model", f"{what}: eps_max, relative", strain),
@@ -200,14 +200,8 @@ def _time_lines(row: Row) -> list[dict[str, object]]:
     ]
 
 
-def _slipped(row: Row) -> tuple[float, float]:
-    """Strain over that of the certificate, less 1; change of friction."""
-    strain = number(row["max_strain"]) / number(row["strain_rigid"]) - 1
-    return strain, number(row["required_friction"]) - number(row["friction_rigid"])
-
-
 def _slip_lines(row: Row) -> list[dict[str, object]]:
-    what, (strain, friction) = f"{row['what']}, node by node", _slipped(row)
+    what, (strain, friction) = f"{row['what']}, node by node", _against(row, "rigid")
     return [
         _line("model", f"{what}: eps_max, relative", strain),
         _line("model", f"{what}: friction", friction),
@@ -278,7 +272,7 @@ def _time_text(rows: Sequence[Row]) -> str:
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     for row in rows:
-        strain, friction = _in_time(row)
+        strain, friction = _against(row, "slow")
         lines.append(
             f"| {row['what']} | {row['start']} | {number(row['seconds']):g} | "
             f"{1e3 * number(row['speed']):.0f} | {100 * strain:+.1f} % | {friction:+.3f} | "
@@ -299,7 +293,7 @@ def _slip_text(rows: Sequence[Row]) -> str:
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     for row in rows:
-        strain, friction = _slipped(row)
+        strain, friction = _against(row, "rigid")
         lower = number(row["clearance"]) - number(row["clearance_rigid"])
         lines.append(
             f"| {row['what']} | {100 * strain:+.1f} % | {friction:+.3f} | "
