@@ -10,16 +10,17 @@ slide off: it creeps by a fraction of its width.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from retract_env.errors import Diverged, NotPositiveDefinite
+from retract_env.errors import Diverged
 from retract_env.fem.linear import Factor, cholesky
 from retract_env.fem.model import FlapModel
-from retract_env.fem.solver import MOST_SHIFTS
+from retract_env.fem.solver import factorize_shifted
 from retract_env.mesh import RESOLUTIONS, Resolution
 from retract_env.mesh.outlines import resolved_section
 from retract_env.mesh.section import edge_lengths
@@ -39,6 +40,8 @@ SETTLED = 1e-4
 MOST_ROUNDS, MOST_ITERATIONS = 60, 200
 LEAST_WEIGHT = 0.1
 """Of the latest pushes, where these swing."""
+FIRST_SHIFT = 1e-4
+"""Of a tangent that is not positive definite, over the mean of its diagonal."""
 STILL = 1e-12
 """Energy that a step may still release at an equilibrium, over E times the jaws' width to the third."""
 SMALLEST_CUT = 1 / 64
@@ -192,12 +195,9 @@ def slid(scene: Scene, frames: Sequence[TissueState], friction: float, resolutio
     friction: Coulomb's coefficient. Raises Diverged where a patch slides off its pad, or no equilibrium is
     found.
     """
-    from scipy.sparse import csr_matrix, hstack, identity
-
     before = frames[0].jaws
     model = SlidingFlap(scene, float(before[0]), RESOLUTIONS[resolution], friction)
-    layers = [identity(len(model.section.triangles), format="csr")] * len(model.prism.blocks)
-    measures = Measures(scene, model.section, model.assembly, csr_matrix(hstack(layers)))
+    measures = Measures.of_layers(scene, model.section, model.assembly, len(model.prism.blocks))
     factor = cholesky(model.assembly.indptr, model.assembly.indices)
     model.weld(np.zeros(model.prism.size))  # open jaws hold it where they touch, as in certificates
     u = _equilibrium(model, factor, model.at_rest())
@@ -278,13 +278,13 @@ def _settled(model: SlidingFlap, factor: Factor, u: Array, jaws: Array) -> Array
 def _equilibrium(model: SlidingFlap, factor: Factor, u: Array) -> Array:
     """Near u (n,) m, by Newton's method; steps are cut until they lower the energy, so that where nodes begin
     to slide and stick again it goes back and forth no more than energy allows. Raises Diverged."""
-    free, diagonal = model.free, model.assembly.indptr[:-1]
+    free, diagonal, counts = model.free, model.assembly.indptr[:-1], Counter[str]()
     scale = model.scene.tissue.modulus * model.scene.jaws.width**3
     energy, force = model.residual(u)
     if not np.isfinite(energy):
         raise Diverged("the first guess turns elements inside out")
     for _ in range(MOST_ITERATIONS):
-        _factorise(factor, model.tangent(u), diagonal)
+        factorize_shifted(factor, model.tangent(u), diagonal, FIRST_SHIFT, counts)
         step = np.zeros_like(u)
         step[free] = -factor.solve(force[free])
         slope = float(force @ step)
@@ -301,17 +301,3 @@ def _equilibrium(model: SlidingFlap, factor: Factor, u: Array) -> Array:
                 raise Diverged("the line search found no lower energy")
         u, energy, force = trial, trial_energy, trial_force
     raise Diverged(f"no equilibrium in {MOST_ITERATIONS} iterations")
-
-
-def _factorise(factor: Factor, values: Array, diagonal: NDArray[np.int32]) -> None:
-    """The tangent's values, shifted until they are positive definite. Raises Diverged."""
-    shift = 0.0
-    for _ in range(MOST_SHIFTS):
-        try:
-            factor.factorize(values)
-            return
-        except NotPositiveDefinite:
-            grown = max(10 * shift, 1e-4 * float(np.abs(values[diagonal]).mean()))
-            values[diagonal] += grown - shift
-            shift = grown
-    raise Diverged("the tangent is not finite")

@@ -19,6 +19,7 @@ from numba import njit
 from retract_env.fem.kernels import (
     JIT,
     LANES,
+    add_forces,
     couple_other,
     couple_same,
     deformation,
@@ -74,9 +75,7 @@ def residual(u, gxy, gz, weight, mu, lam, dofs, b, out):
                     for l in range(LANES):
                         f[l] *= Q[l]
             divergence(F, gxy[c, q], gz[c, q], re)
-        for a in range(nd):
-            for l in range(LANES):
-                out[dofs[c, a, l]] += re[a, l]
+        add_forces(re, dofs[c], out)
     return energy
 
 
@@ -126,9 +125,7 @@ def tangent_times(u, v, gxy, gz, weight, mu, lam, dofs, b, out):
                             s += H[i, k, l] * M[k, j]
                         F[i, j, l] = m * D[i, j, l] + k_ * trace * H[i, j, l] + d * s + rate * F[i, j, l]
             divergence(F, gxy[c, q], gz[c, q], re)
-        for a in range(nd):
-            for l in range(LANES):
-                out[dofs[c, a, l]] += re[a, l]
+        add_forces(re, dofs[c], out)
 
 
 @njit(**JIT)

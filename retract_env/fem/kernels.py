@@ -43,6 +43,14 @@ def gather(u, dofs, ue):
 
 
 @njit(**JIT)
+def add_forces(re, dofs, out):
+    """Add an element's forces `re` (m, LANES) to `out` (n,) at its unknowns."""
+    for a in range(dofs.shape[0]):
+        for l in range(LANES):
+            out[dofs[a, l]] += re[a, l]
+
+
+@njit(**JIT)
 def gradient(ue, gx, gz, F):
     """Displacement gradient (3, 3, LANES) at one point."""
     na = gx.shape[1]
@@ -160,9 +168,7 @@ def residual(u, gxy, gz, weight, mu, lam, dofs, out):
                     for l in range(LANES):
                         f[l] = w[l] * m[l] * f[l] + J[l] * h[l]
             divergence(F, gxy[c, q], gz[c, q], re)
-        for a in range(nd):
-            for l in range(LANES):
-                out[dofs[c, a, l]] += re[a, l]
+        add_forces(re, dofs[c], out)
     return energy
 
 
@@ -207,9 +213,7 @@ def tangent_times(u, v, gxy, gz, weight, mu, lam, dofs, out):
                             s += H[i, k, l] * M[k, j]
                         F[i, j, l] = m * D[i, j, l] + b * trace * H[i, j, l] + d * s
             divergence(F, gxy[c, q], gz[c, q], re)
-        for a in range(nd):
-            for l in range(LANES):
-                out[dofs[c, a, l]] += re[a, l]
+        add_forces(re, dofs[c], out)
 
 
 @njit(**JIT)

@@ -23,11 +23,14 @@ from retract_env.objectives import WORST_FRACTION
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
+Ints = NDArray[np.int32]
 
 STRAIN_TOLERANCE = 1e-5
 """Newton stops once the error's energy is below that of this strain in 1 % of the flap's volume."""
 MOST_SHIFTS = 20
 """Tries to make a tangent positive definite, each with ten times the shift of the one before."""
+FIRST_SHIFT = 1e-2
+"""Over the mean of the diagonal."""
 MOST_ITERATIONS = 40
 """For one equilibrium; most take less than 10. Better a smaller step than more of them, which may lead to an
 equilibrium far away."""
@@ -56,6 +59,28 @@ class Kept:
     """(k, f) N, by which the forces changed with each"""
     curvature: Array
     """(k,) J, the product of both"""
+
+
+def factorize_shifted(
+    factor: Factor, values: Array, diagonal: Ints, first: float, counts: Counter[str]
+) -> None:
+    """Factorise a tangent's values, shifted until they are positive definite.
+
+    diagonal: where the diagonal stands in them; first: the first shift, over its mean size; counts: of
+    factorisations and shifts. Raises Diverged.
+    """
+    shift = 0.0
+    for _ in range(MOST_SHIFTS):
+        try:
+            counts["factorisations"] += 1
+            factor.factorize(values)
+            return
+        except NotPositiveDefinite:
+            counts["shifts"] += 1
+            grown = max(10 * shift, first * float(np.abs(values[diagonal]).mean()))
+            values[diagonal] += grown - shift
+            shift = grown
+    raise Diverged("the tangent is not finite")
 
 
 class Equilibrium:
@@ -118,21 +143,10 @@ class Equilibrium:
         """
         self.forget()
         values = self.model.tangent(u, held)
-        shift = 0.0
-        for _ in range(MOST_SHIFTS):
-            try:
-                self.counts["factorisations"] += 1
-                self.factor.factorize(values)
-                self._made_at, self._held, self._owed = u.copy(), held, False
-                self._fresh = True
-                self._turn = self._straight
-                return
-            except NotPositiveDefinite:
-                self.counts["shifts"] += 1
-                grown = max(10 * shift, 1e-2 * float(np.abs(values[self._diagonal]).mean()))
-                values[self._diagonal] += grown - shift
-                shift = grown
-        raise Diverged("the tangent is not finite")
+        factorize_shifted(self.factor, values, self._diagonal, FIRST_SHIFT, self.counts)
+        self._made_at, self._held, self._owed = u.copy(), held, False
+        self._fresh = True
+        self._turn = self._straight
 
     def step(self, u: Array, du_driven: Array) -> Array:
         """First-order change of the free unknowns when the driven ones change by du_driven (n,), from the

@@ -11,7 +11,6 @@ from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix, hstack, identity
 
 from retract_env.errors import Diverged
 from retract_env.fem.beam import BeamGuess
@@ -111,9 +110,8 @@ class FemPhysics:
         self.model = self.flap(scene, self.section, jaw_x, resolution)
         self._beam = BeamGuess(self.model.prism, scene, jaw_x)
         self.equilibrium = Equilibrium(self.model)
-        # every layer has one element over each triangle of the section
-        layers = [identity(len(self.section.triangles), format="csr")] * len(self.model.prism.blocks)
-        self._measures = Measures(scene, self.section, self.model.assembly, csr_matrix(hstack(layers)))
+        layers = len(self.model.prism.blocks)
+        self._measures = Measures.of_layers(scene, self.section, self.model.assembly, layers)
         self.seconds["assembly"] = time.perf_counter() - start
         self._stop_when = stop_when
         self._history: list[tuple[float, Array]] = []

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix
+from scipy.sparse import csr_matrix, hstack, identity
 
 from retract_env.errors import Diverged
 from retract_env.fem.assembly import Assembly
@@ -111,6 +111,12 @@ class Measures:
         self._ring = outline_ring(section)
         line = scene.line_of_sight
         self._line = np.array(line.camera), np.array(line.target)
+
+    @classmethod
+    def of_layers(cls, scene: Scene, section: SectionMesh, assembly: Assembly, layers: int) -> Measures:
+        """Of a prism, each of whose layers has one element over each triangle of the section."""
+        shares = [identity(len(section.triangles), format="csr")] * layers
+        return cls(scene, section, assembly, csr_matrix(hstack(shares)))
 
     def state(
         self,
