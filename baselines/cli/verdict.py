@@ -53,7 +53,7 @@ def margins(certificate: Certificate) -> str:
     mesh, peaks = said["mesh"], said["peaks"]
     between = f"strain {100 * peaks['strain']:.2g} % and friction {peaks['friction']:g} between increments"
     meshed = (
-        "this mesh was not compared with another code"
+        "this mesh with this law was not compared with another code"
         if mesh is None
         else f"strain {100 * mesh['strain']:.2g} % and friction {mesh['friction']:g} for the mesh"
     )

@@ -27,8 +27,14 @@ CHANGES: Mapping[str, Mapping[str, Any]] = {
     "weight 10 % more": {"tissue": {"density": 1100.0}},
     "Fung's law, b = 2": {"material": {"law": "fung", "stiffening": 2.0}},
     "Fung's law, b = 8": {"material": {"law": "fung", "stiffening": 8.0}},
+    "held until a quarter of the stiffness has relaxed": {"moduli": 0.75},
+    "held until half of the stiffness has relaxed": {"moduli": 0.50},
 }
-"""What is changed of a scene: fields of its parts, or its own."""
+"""What is changed of a scene: fields of its parts, or its own; or all moduli, to a part of themselves.
+
+Where all moduli of a viscoelastic flap relax by the same share, and the jaws stand still, it comes to rest as
+an elastic one of the moduli that are left, however it was moved before.
+"""
 
 
 MOTIONS: tuple[tuple[float, Start], ...] = (
@@ -52,6 +58,10 @@ def changed(scene: Scene, change: str) -> Scene:
     """The scene with another assumption."""
     data = scene.dump()
     for name, value in CHANGES[change].items():
+        if name == "moduli":
+            for part in (data["tissue"], *data["tissue"]["veins"]):
+                part["modulus"] *= value
+            continue
         data[name] = {**data[name], **value} if isinstance(value, Mapping) else value
     return Scene.from_data(data)
 

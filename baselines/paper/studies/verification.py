@@ -159,25 +159,29 @@ def _solution_lines(cases: dict[str, dict[str, Converged]]) -> list[dict[str, ob
     return lines
 
 
-def _changes(rows: Sequence[Row]) -> list[tuple[Row, float, float]]:
-    """Rows with changed assumptions: strain over that of the case as it is, less 1; change of friction."""
+def _changes(rows: Sequence[Row]) -> list[tuple[Row, float, float, float]]:
+    """Rows with another assumption, against the case as it is: more strain, relative; friction; m higher."""
     base = {row["what"]: row for row in rows if row["change"] == "as it is"}
     out = []
     for row in rows:
         if row["change"] != "as it is":
             plain = base[row["what"]]
             strain = number(row["max_strain"]) / number(plain["max_strain"]) - 1
-            out.append((row, strain, number(row["required_friction"]) - number(plain["required_friction"])))
+            friction, higher = (
+                number(row[name]) - number(plain[name]) for name in ("required_friction", "clearance")
+            )
+            out.append((row, strain, friction, higher))
     return out
 
 
 def _model_lines(rows: Sequence[Row]) -> list[dict[str, object]]:
     return [
         line
-        for row, strain, friction in _changes(rows)
+        for row, strain, friction, higher in _changes(rows)
         for line in (
             _line("model", f"{row['what']}, {row['change']}: eps_max, relative", strain),
             _line("model", f"{row['what']}, {row['change']}: friction", friction),
+            _line("model", f"{row['what']}, {row['change']}: clearance", higher, "m"),
         )
     ]
 
@@ -255,9 +259,19 @@ def _solution_text(cases: dict[str, dict[str, Converged]]) -> str:
 
 
 def _model_text(rows: Sequence[Row]) -> str:
-    lines = ["## Model", "", "| retraction | assumption | eps_max | friction |", "| --- | --- | --- | --- |"]
-    for row, strain, friction in _changes(rows):
-        lines.append(f"| {row['what']} | {row['change']} | {100 * strain:+.1f} % | {friction:+.3f} |")
+    lines = [
+        "## Model",
+        "",
+        "Clearance: how much more or less.",
+        "",
+        "| retraction | assumption | eps_max | friction | clearance, mm |",
+        "| --- | --- | --- | --- | --- |",
+    ]
+    for row, strain, friction, higher in _changes(rows):
+        lines.append(
+            f"| {row['what']} | {row['change']} | {100 * strain:+.1f} % | {friction:+.3f} | "
+            f"{1e3 * higher:+.2f} |"
+        )
     return "\n".join(lines)
 
 

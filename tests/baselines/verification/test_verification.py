@@ -79,6 +79,14 @@ def test_each_assumption_changes_the_scene() -> None:
         assert (changed(flap(), name) == flap()) == (name == "as it is")
 
 
+def test_relaxed_moduli_are_those_of_tissue_and_veins() -> None:
+    scene = flap(veins=[square_vein(-0.02, 0.002, 0.0008)])
+    relaxed = changed(scene, "held until half of the stiffness has relaxed")
+    assert relaxed.tissue.modulus == scene.tissue.modulus / 2
+    assert relaxed.tissue.veins[0].modulus == scene.tissue.veins[0].modulus / 2
+    assert relaxed.tissue.veins[0].outline == scene.tissue.veins[0].outline
+
+
 def test_every_experiment_goes_through_json() -> None:
     experiments = study("verification").experiments()
     works = [json.dumps(one.work("fine"), sort_keys=True) for one in experiments]
