@@ -7,12 +7,12 @@ PYTEST_ARGS ?= -n auto --maxprocesses 8
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 
-.PHONY: help demo bullet test test-slow soak docs notebooks lint format typecheck live bench clean
+.PHONY: help demo bullet test test-slow coverage soak docs notebooks lint format typecheck live bench clean
 
 help:
 	@echo "make demo       retract configs/scenes/ten_veins.yaml as in 2009 and with swift, side by side, into $(OUT)"
 	@echo "make bullet     install PyBullet where there is no wheel of it, compiling for ten minutes"
-	@echo "make test       run the tests;  make test-slow: the slow ones too"
+	@echo "make test       run the tests;  make test-slow: the slow ones too;  make coverage: which lines no test reaches"
 	@echo "make soak       try everything very often, for a day; it goes on where it was stopped; SOAK=\"files --share 0.1\" does a part"
 	@echo "make docs       build the documentation's site, site/index.html;  make notebooks: execute its notebooks"
 	@echo "make lint       ruff;  make format: ruff, rewriting;  make typecheck: mypy"
@@ -41,6 +41,9 @@ test: $(VENV)/.installed-dev
 
 test-slow: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m "slow or not slow" $(PYTEST_ARGS)
+
+coverage: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest $(PYTEST_ARGS) --cov --cov-report=term --cov-report=html:$(OUT)coverage
 
 soak: $(VENV)/.installed-dev
 	$(BIN)/python -m soak --out $(OUT)soak $(SOAK)

@@ -22,7 +22,7 @@ from planners.effort import retract
 from planners.leads import lightest
 from planners.paths import PATHS
 from retract_env.grasp import Grasp, JawPath
-from retract_env.scene import Limits, Scene
+from retract_env.scene import Scene
 
 MARGIN = 0.05
 """Part of the friction limit that the grip leaves unused."""
@@ -75,7 +75,8 @@ def least_compression(start: float, most: float, allowed: float) -> Compressions
         torn = verdict.reason == "strain" and friction > allowed  # a lighter grip slips, a firmer tears
         restless = verdict.reason == "diverged" and verdict.progress == 0  # whatever the jaws do
         if torn or restless or verdict.reason not in MENDABLE:
-            return delta, verdict.reason
+            broken, why = x, verdict.reason
+            break
         y = math.log(min(max(friction, 1e-3 * allowed), 1e3 * allowed))
         if friction > allowed:
             loose = x, y
@@ -92,7 +93,7 @@ def least_compression(start: float, most: float, allowed: float) -> Compressions
             x = firm[0] + firm[1] - aim
         elif loose:
             if broken - loose[0] < math.log(SHUT):
-                return delta, why
+                break
             x = min(loose[0] + loose[1] - aim, (loose[0] + broken) / 2)
         else:
             x = broken - math.log(2)
@@ -112,7 +113,7 @@ class LightGrip(Contestant):
         if path.kind not in PATHS:
             raise ValueError(f"path.kind = {path.kind!r}, allowed {', '.join(PATHS)}")
         self.scene = scene
-        self._lifted = Limits(strain=scene.limits.strain, friction=LIFTED)
+        self._lifted = scene.limits.model_copy(update={"friction": LIFTED})
         self._allowed = (1 - MARGIN) * scene.limits.friction
         self._most = FIRMEST * scene.tissue.height
 

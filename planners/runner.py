@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 
-from planners.base import Candidate, Contestant
+from planners.base import Candidate, Contestant, Verdict, verdict_of
 from planners.certify import Certificate, Trial
 from planners.foresight import NOTHING
 from planners.side_by_side import Stop
@@ -28,7 +28,21 @@ class Runner:
         self.proposals = contestant.propose(stop)
         self.trial: Trial | None = None
         """of what it handed in last; None before and once it is done"""
+        self.certified: Trial | None = None
+        """the last that the judge passed while it went on; None once it is done"""
         self.foreseen = NOTHING
+
+    def hear(self, verdict: Verdict | None) -> None:
+        """Keep what the judge passed, should nothing that comes after it hold."""
+        if verdict is not None and verdict.reason == "ok":
+            self.certified = self.trial
+
+    def standing(self, last: Verdict) -> Verdict:
+        """The verdict with which it ends: the last, or that on what was certified before it."""
+        if last.reason == "ok" or self.certified is None:
+            return last
+        self.trial = self.certified
+        return verdict_of(self.trial)
 
     @property
     def done(self) -> bool:

@@ -76,9 +76,9 @@ def race(
 
     The winner does not depend on workers (default: one a core), nor on pruning, but for what the rod's
     margins do not cover: only what exceeds the best certified strain is dropped, and equal strains go to the
-    earlier contestant. tried: candidates of an
-    earlier search by the planner, which are listed before. Raises NoPlan where none is certified, ValueError
-    for unknown pruning or resolution, workers below 1, or a contestant that begins off the flap.
+    earlier contestant. tried: candidates of an earlier search by the planner, which are listed before. Raises
+    NoPlan where none is certified, ValueError for unknown pruning or resolution, workers below 1, or a
+    contestant that begins off the flap.
     """
     if pruning not in PRUNING:
         raise ValueError(f"pruning = {pruning!r}, allowed {', '.join(PRUNING)}")
@@ -248,9 +248,8 @@ class _Race:
                 clock.lap()
                 self._tell(i, "moving")
 
-            verdict = None
-            while verdict is None:
-                verdict = self._next(i, self._retracted(runner, step))
+            while (verdict := self._next(i, self._retracted(runner, step))) is None:
+                pass
         self._finish(i, verdict)
         self._let_go(i)
 
@@ -263,19 +262,20 @@ class _Race:
         runner = self.runners[i]
         while True:
             self._account(runner)
+            runner.hear(verdict)
             start = time.perf_counter()
             try:
                 grasp, path = next(runner.proposals) if verdict is None else runner.proposals.send(verdict)
             except StopIteration as end:
                 final = end.value if verdict is None or end.value is not None else verdict
                 assert final is not None, "a contestant hands something in or says why not"
-                return final
+                return runner.standing(final)
             except MeshError:
-                return Verdict("unmeshable")
+                return runner.standing(Verdict("unmeshable"))
             except Diverged:
-                return Verdict("diverged")
+                return runner.standing(Verdict("diverged"))
             except TooCostly:
-                return Verdict(TOO_COSTLY)
+                return runner.standing(Verdict(TOO_COSTLY))
             finally:
                 with self._lock:
                     self.seconds["proposing"] += time.perf_counter() - start
@@ -361,7 +361,7 @@ class _Race:
         self._account(self.runners[i])
         with self._lock:
             if self.runners[i].done:
-                self.runners[i].trial = None
+                self.runners[i].trial = self.runners[i].certified = None
             waiting = [
                 k
                 for k, runner in enumerate(self.runners)

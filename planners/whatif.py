@@ -7,11 +7,11 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from retract_env import scenarios
 from retract_env.physics.rod import flap_numbers, laws, sight_numbers
 from retract_env.rod.flap import HEIGHT, JAW_WIDTH, MODULUS, POISSON, SPECIFIC_WEIGHT
 from retract_env.rod.follow import Followed, Retractions, follow
-from retract_env.rod.measures import TARGET_X
-from retract_env.scenarios import shifted, values
+from retract_env.rod.measures import CAMERA_X, TARGET_X
 from retract_env.scene import Scene
 from retract_env.spring.columns import veins_of
 from retract_env.threads import cores
@@ -32,18 +32,20 @@ class Flaps:
             self.friction = np.array([scene.limits.friction])
             self.shift, self.closing, self.force = np.zeros(1), np.zeros(1), np.ones(1)
             return
-        v = values(scene, z, force)
-        k = len(v.modulus)
+        drawn = scenarios.turned_out(scene, z)
+        k = len(drawn)
         self.flap, self.sight = np.tile(flap, (k, 1)), np.tile(sight, (k, 1))
-        self.flap[:, HEIGHT] *= v.thickness
-        self.flap[:, MODULUS] *= v.modulus
-        self.flap[:, POISSON] = v.poisson
-        self.flap[:, SPECIFIC_WEIGHT] *= v.weight
-        self.flap[:, JAW_WIDTH] *= v.jaw_width
-        self.sight[:, TARGET_X] += v.target
-        self.factors = np.column_stack([v.thickness, v.modulus * v.vein_modulus])
-        self.friction = v.friction * scene.limits.friction
-        self.shift, self.closing, self.force = v.grasp, v.closing, v.force
+        self.flap[:, HEIGHT] = drawn[:, scenarios.HEIGHT]
+        self.flap[:, MODULUS] = drawn[:, scenarios.MODULUS]
+        self.flap[:, POISSON] = drawn[:, scenarios.POISSON]
+        self.flap[:, SPECIFIC_WEIGHT] = drawn[:, scenarios.DENSITY] * drawn[:, scenarios.GRAVITY]
+        self.flap[:, JAW_WIDTH] = drawn[:, scenarios.JAW_WIDTH]
+        self.sight[:, CAMERA_X] = drawn[:, scenarios.CAMERA_X]
+        self.sight[:, TARGET_X] = drawn[:, scenarios.TARGET_X]
+        self.factors = drawn[:, [scenarios.THICKER, scenarios.STIFFER]]
+        self.friction = drawn[:, scenarios.FRICTION]
+        self.shift, self.closing = drawn[:, scenarios.SHIFT], drawn[:, scenarios.CLOSER]
+        self.force = scenarios.values(scene, z, force).force
 
     def __len__(self) -> int:
         return len(self.flap)
@@ -74,7 +76,7 @@ class Flaps:
         k, (m, t, _) = len(self), poses.shape
         height = self.flap[:, HEIGHT]
         width = self.flap[:, JAW_WIDTH, None]
-        at = shifted.py_func(x, self.shift[:, None], self.scene.tissue.length, width)
+        at = scenarios.shifted.py_func(x, self.shift[:, None], self.scene.tissue.length, width)
         all_poses = np.empty((k, m, t, 4))
         all_poses[:] = poses
         all_poses[..., 0] += (at - x)[..., None]

@@ -18,6 +18,10 @@ class MeshError(ValueError):
     """The section could not be meshed."""
 
 
+class FlapRefused(MeshError):
+    """The flap is more than this physics takes, wherever it is grasped."""
+
+
 class Diverged(ArithmeticError):
     """No equilibrium was found."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -104,7 +104,7 @@ def read_options(options: Mapping[str, Any] | None, count: int | None = None) ->
     """The options of a reset; count: of how many environments, None: of a single one. Raises ValueError."""
     options = options or {}
     if unknown := set(options) - set(Options._fields):
-        raise ValueError(f"options: unknown {', '.join(sorted(unknown))}")
+        raise ValueError(f"options: unknown {', '.join(sorted(map(str, unknown)))}")
     line = options.get("line_of_sight")
     if line is None and "line_of_sight" in options:
         raise ValueError("line_of_sight = None, allowed a camera and a target")
@@ -122,7 +122,7 @@ def _read_draw(source: Any, count: int | None) -> Array:
     allowed = f"{' or '.join(map(str, shapes))} numbers in [-1, 1]"
     try:
         z = np.array(source, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise ValueError(f"unknowns = {source!r}, allowed {allowed}".replace("\n", " ")) from None
     if z.shape not in shapes:
         raise ValueError(f"unknowns have shape {z.shape}, allowed {allowed}")
@@ -146,7 +146,12 @@ def read_seeds(seed: int | Sequence[int | None] | None, count: int) -> list[int 
     if seed is None:
         return [None] * count
     each: list[int | None] = []
-    each += [int(seed) + k for k in range(count)] if isinstance(seed, int | np.integer) else seed
+    if isinstance(seed, int | np.integer):
+        each += [int(seed) + k for k in range(count)]
+    elif isinstance(seed, Iterable):
+        each += seed
+    else:
+        raise ValueError(f"seed = {seed!r}, allowed a whole number, or one or None for each environment")
     if len(each) != count:
         raise ValueError(f"seed has {len(each)} numbers, allowed {count}")
     return each
@@ -156,7 +161,7 @@ def read_actions(given: ArrayLike, count: int) -> Array:
     """Actions (count, 3) with each number clipped to [-1, 1]. Raises ValueError."""
     try:
         numbers = np.asarray(given, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise ValueError(f"actions = {given!r}, allowed numbers".replace("\n", " ")) from None
     if numbers.shape != (count, actions.SIZE):
         raise ValueError(f"actions have shape {numbers.shape}, allowed ({count}, {actions.SIZE})")

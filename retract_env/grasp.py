@@ -59,9 +59,11 @@ class Grasp:
             if value is None and name in ("compression", "force"):
                 continue
             try:
+                if isinstance(value, str):
+                    raise TypeError
                 # a NumPy scalar would not go into JSON
                 object.__setattr__(self, name, float(value))
-            except (TypeError, ValueError):
+            except (TypeError, ValueError, OverflowError):
                 raise ValueError(f"grasp.{name} = {value!r}, allowed a number, {unit}") from None
         if not (math.isfinite(self.x) and self.x < 0):
             raise ValueError(f"grasp.x = {self.x:g} m, allowed below 0 m")
@@ -195,7 +197,7 @@ def _rows(values: ArrayLike, name: str) -> Array:
     """Fresh (n >= 2, 4) array of finite floats, or ValueError naming the first culprit."""
     try:
         rows = np.array(values, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise ValueError(f"{name} = not numbers in equal rows, allowed (n >= 2, 4)") from None
     if rows.ndim != 2 or rows.shape[0] < 2 or rows.shape[1] != 4:
         raise ValueError(f"{name} has shape {rows.shape}, allowed (n >= 2, 4)")

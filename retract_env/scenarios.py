@@ -135,6 +135,28 @@ def turn_out(stated: Array, prior: Array, z: Array, out: Array) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _turn_outs(stated: Array, prior: Array, z: Array, out: Array) -> None:
+    for i in range(len(z)):
+        turn_out(stated, prior, z[i], out[i])
+
+
+def turned_out(scene: Scene, z: ArrayLike) -> Array:
+    """(n, NUMBERS), what draws z (n, UNKNOWNS) make of a scene. Raises ValueError for another shape."""
+    rows = _draws(z)
+    out = np.empty((len(rows), NUMBERS))
+    _turn_outs(stated_numbers(scene), prior_numbers(scene), rows, out)
+    return out
+
+
+def _draws(z: ArrayLike) -> Array:
+    """(n, UNKNOWNS), one after the other in memory."""
+    rows = np.ascontiguousarray(np.atleast_2d(np.asarray(z, float)))
+    if rows.shape[1:] != (len(UNKNOWNS),):
+        raise ValueError(f"draws have shape {rows.shape}, allowed (n, {len(UNKNOWNS)})")
+    return rows
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def shifted(x: Any, shift: Any, length: float, width: Any) -> Any:
     """Where jaws stand, m, along the flap, that were sent to x, m: off by a shift, m, but on the flap.
 
@@ -176,12 +198,10 @@ def values(scene: Scene, z: ArrayLike, force: float = math.nan) -> Values:
 
     Where a shift would lead off the flap, B stays on it.
     """
-    z = np.ascontiguousarray(np.atleast_2d(np.asarray(z, float)))
-    if z.shape[1:] != (len(UNKNOWNS),):
-        raise ValueError(f"draws have shape {z.shape}, allowed (n, {len(UNKNOWNS)})")
-    out = np.empty_like(z)
+    rows = _draws(z)
+    out = np.empty_like(rows)
     target_x = scene.line_of_sight.target[0]
-    _values(prior_numbers(scene), z, scene.tissue.length, target_x, force, out)
+    _values(prior_numbers(scene), rows, scene.tissue.length, target_x, force, out)
     return Values(*np.ascontiguousarray(out.T))
 
 

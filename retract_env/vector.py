@@ -149,8 +149,8 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
         self.single_observation_space = spaces.Box(low, high, dtype=np.float32)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
-        # which also refuses ranges that no scene may have
-        alike = settings.prior(sample_scene(np.random.default_rng(0), settings.ranges))
+        bare = settings.ranges.model_copy(update={"veins": (0, 0)})
+        alike = settings.prior(sample_scene(np.random.default_rng(0), bare))
         unknown = settings.unknowns is not None
         self._flaps = Flaps(self.num_envs, settings.task, settings.ranges, settings.sensors, alike, unknown)
         self._sources: list[Scene | str] = [source] * self.num_envs
@@ -214,7 +214,9 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
         self._workers.run(settle_range, flaps, False)
         self._workers.run(show_range, flaps, ~told.renewed, modes)
         if told.renewed.any():
+            self._begun &= ~told.renewed  # should one of them fail
             self._begin(told.renewed)
+            self._begun |= told.renewed
         ended = told.terminated | told.truncated
         late = ended & self._special if self.autoreset_mode == AutoresetMode.SAME_STEP else None
         if late is not None and late.any():

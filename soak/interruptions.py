@@ -39,7 +39,7 @@ class Command:
     again: tuple[str, ...] = ()
     """what is added to go on"""
     timing: tuple[str, ...] = ()
-    """files whose content depends on the time that the work took"""
+    """files and folders whose content depends on the time that the work took, or on where it lies"""
 
 
 COARSE = ("--resolution", "coarse")
@@ -68,7 +68,9 @@ COMMANDS: Mapping[str, Command] = {
         timing=("data",),
     ),
     "train": Command(
-        ("train", "ppo", "--steps", "8192", "--envs", "32", "--out", "{out}/run"), ("--resume",), ("run",)
+        ("train", "ppo", "--steps", "8192", "--envs", "32", "--out", "{out}/run"),
+        ("--resume",),
+        ("run/run.json", "run/checkpoint.pt", "run/curve.csv", "run/tensorboard", "run/policy/policy.json"),
     ),
 }
 
@@ -103,7 +105,7 @@ def stopped(task: WorkItem) -> Row:
         row = {"after": after / took, "exit": code}
         if fault := _said(task["end"], code, errors) or _half_written(cut):
             return _wrong(fault) | row
-        again = arguments + (list(command.again) if (cut / "run" / "recipe.json").exists() else [])
+        again = arguments + (list(command.again) if (cut / "run" / "run.json").exists() else [])
         code, errors = _run(again, cut)
         if code != 0:
             return _wrong(f"run again it ends with {code}: {errors}") | row
@@ -198,7 +200,7 @@ def _different(whole: Path, cut: Path, timing: tuple[str, ...]) -> list[str]:
             for path in sorted(folder.rglob("*"))
             if path.is_file()
             and not (name := path.relative_to(folder).as_posix()).startswith(".")
-            and name.split("/")[0] not in timing
+            and not any(name == one or name.startswith(f"{one}/") for one in timing)
             and path.suffix != ".jsonl"
         }
 

@@ -24,6 +24,8 @@ from baselines.benchmark.methods import COMPETING, UNTRAINED, Method, method_of
 from baselines.jobs.journal import Row, WorkItem
 from baselines.learning.policies import load_policy
 from planners.base import DISMISSED, PROMISING, NoPlan
+from planners.certify import FAILURES
+from planners.swift.planner import UNSURE
 from retract_env.grasp import Grasp, JawPath
 from retract_env.physics.registry import PHYSICS
 from retract_env.rollout import Decide, Rollout, rollout
@@ -33,6 +35,12 @@ from retract_env.scene import Scene
 BULLET = PHYSICS["bullet"].env_id
 SETTINGS = ("grip", "sensors", "task")
 """Of an environment, what a policy may choose."""
+
+
+UNSOLVED = "unsolved"
+NOTHING_FOUND = (*FAILURES, UNSURE, UNSOLVED)
+"""Why a planner hands in nothing: what most of its candidates failed by; "unsure": its rod finds a limit
+broken; "unsolved": its own problem had no solution, no mesh, or took too long."""
 
 
 @dataclass
@@ -111,7 +119,12 @@ def hand_in(task: WorkItem) -> Row:
         unsaid = ("pruned", PROMISING, DISMISSED)
         reasons = Counter(str(c.reason) for c in none.candidates if c.reason not in unsaid)
         commonest = min(reasons, key=lambda r: (-reasons[r], r)) if reasons else "not_visible"
-        handed = HandedIn(reason=commonest, evaluations=sum(c.increments for c in none.candidates))
+        known = commonest in NOTHING_FOUND
+        handed = HandedIn(
+            reason=commonest if known else UNSOLVED,
+            detail="" if known else commonest,
+            evaluations=sum(c.increments for c in none.candidates),
+        )
     except Nonsense as problem:
         handed = HandedIn(reason="returned", detail=str(problem))
     handed.seconds = _processor_time() - start

@@ -33,6 +33,7 @@ FAILED = {
     "contact": "#56b4e9",
     "diverged": "#6d757d",
     "unsure": "#b9a7dd",
+    "unsolved": "#7f9fb0",
     "time": "#0072b2",
     "raised": "#7b3294",
     "returned": "#8c6d31",

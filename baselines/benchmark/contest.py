@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from baselines.benchmark.attempts import HandedIn, hand_in, played_on_draws, transferred
+from baselines.benchmark.attempts import NOTHING_FOUND, HandedIn, hand_in, played_on_draws, transferred
 from baselines.benchmark.external import check_importable, found_at
 from baselines.benchmark.methods import Method, method_of
 from baselines.benchmark.splits import BenchmarkError
@@ -22,8 +22,7 @@ from baselines.benchmark.survival import made_firm, survived
 from baselines.jobs.apart import STARTING, Answer, Apart
 from baselines.jobs.journal import Row, WorkItem
 from baselines.jobs.version import code_version
-from planners.certify import FAILURES, Certificate, certify
-from planners.swift.planner import UNSURE
+from planners.certify import Certificate, certify
 from retract_env.grasp import Grasp, JawPath
 from retract_env.scenarios import draws
 from retract_env.scene import Scene
@@ -31,8 +30,8 @@ from retract_env.scene import Scene
 TROUBLES = ("time", "raised", "returned", "died")
 """Why nothing that a method handed in could be judged: it took too long, raised, returned nonsense, or its
 process died."""
-REASONS = (*FAILURES, UNSURE, *TROUBLES)
-"""Why a row is not certified; "unsure": a planner hands in nothing, as the rod finds a limit broken."""
+REASONS = (*NOTHING_FOUND, *TROUBLES)
+"""Why a row is not certified."""
 ACT = ("policy", "external")
 """Kinds of methods that may be policies, and are then played on the other physics and on draws too."""
 

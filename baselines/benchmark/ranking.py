@@ -37,9 +37,9 @@ share of scenes where the policy succeeds in `TissueRetract-v0`, played there wi
 **of ctc's**: share that is certified of the scenes where ctc is. **score**: interquartile mean of the least
 strain known over the method's, 0 where it is not certified. **friction margin** (part of the limit that is
 left) and **clearance**: medians where certified. **FEM**: mean equilibria computed until grasp and path are
-handed in. `unsure`: nothing was handed in, as the planner's own rod finds a limit broken. `raised`,
-`returned` and `died`: what became of a method whose answer cannot be judged. Nothing here was chosen by its
-results on these scenes."""
+handed in. `unsure`: nothing was handed in, as the planner's own rod finds a limit broken; `unsolved`: as its
+own problem had no solution. `raised`, `returned` and `died`: what became of a method whose answer cannot be
+judged. Nothing here was chosen by its results on these scenes."""
 CLOSED_LOOP = """
 **closed loop**: share of draws, {played} a scene, on which a policy succeeds if it sees what happens.
 There and on Bullet, a policy that hands nothing in on a scene has failed on it."""

@@ -17,8 +17,15 @@ from baselines.cli.console import (
     usable_folder,
     writing,
 )
-from baselines.cli.robust import RobustOption, check_stated, stated, worst_cases
-from baselines.cli.verdict import Clock, Resolution, VerifyOption, check_robust, report
+from baselines.cli.robust import (
+    RobustOption,
+    check_stated,
+    is_worst_case,
+    old_worst_cases,
+    stated,
+    worst_cases,
+)
+from baselines.cli.verdict import Clock, Resolution, VerifyOption, check_robust, report, verified_if_meshed
 from baselines.jobs.files import write_json, written_whole
 
 if TYPE_CHECKING:
@@ -76,6 +83,8 @@ def certify_command(
         if out is not None:
             stack.enter_context(usable_folder(out.parent))
             check_no_folder(out)
+            if is_worst_case(out):
+                raise BadInput(f"--out = {out}, allowed another name: files of worst cases are called so")
         asked = _asked(str(check), said, robust)
         motion = _in_time(str(check), said, scene, speed)
         announce_compilation("fem", *(["planning"] if asked else []))
@@ -83,7 +92,9 @@ def certify_command(
             try:
                 mesh = resolution or "fine" if said is None else said.mesh["resolution"]
                 verify = verify if said is None else said.verification is not None
-                certificate = planners.certify(scene, grasp, path, mesh, verify, under.step)
+                certificate = planners.certify(scene, grasp, path, mesh, on_increment=under.step)
+                if verify:
+                    certificate = verified_if_meshed(certificate, scene, grasp, path)
                 if motion and (said is not None or certificate.certified):
                     certificate = timed(certificate, scene, **motion, on_increment=under.step)
             except MeshError as problem:
@@ -102,13 +113,17 @@ def certify_command(
 
 
 def _write(out: Path, scene: Scene, grasp: Grasp, path: JawPath, certificate: Certificate) -> list[Path]:
-    """Write the certificate, and the worst cases beside it, all or none; returns their paths."""
+    """Write the certificate, and the worst cases beside it, all or none; returns their paths. Where
+    there is a statement, worst cases of an earlier one go."""
     contents = {out: certificate.to_json()}
     for name, case in worst_cases(scene, grasp, path, certificate).items():
         contents[out.parent / name] = case
     with writing(out), ExitStack() as all_or_none:
         for file, content in contents.items():
             write_json(all_or_none.enter_context(written_whole(file)), content)
+    for old in [] if certificate.robust is None else old_worst_cases(out.parent):
+        if old not in contents:
+            old.unlink()
     return list(contents)
 
 

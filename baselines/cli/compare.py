@@ -18,7 +18,7 @@ from baselines.cli.console import (
     usable_folder,
     writing,
 )
-from baselines.cli.plan import write_plan
+from baselines.cli.plan import forget_plan, write_plan
 from baselines.cli.robust import check_stated, hurts, percent, stated
 from baselines.cli.verdict import Clock, ResolutionOption
 from baselines.cli.view import PAGE, page_of, write_page
@@ -92,6 +92,9 @@ def compare_command(
                     for name, data in files.items():
                         all_or_none.enter_context(written_whole(folder / name)).write_bytes(data)
                 written = [*(folder / name for name in files), *written]
+            for name, *_ in METHODS:
+                if name not in plans:  # of an earlier run: no plan of this scene
+                    forget_plan(folder / name)
             for name, plan in plans.items():
                 write_plan(plan, stack.enter_context(usable_folder(folder / name)))
         typer.echo("written: " + ", ".join(str(path) for path in written))

@@ -59,7 +59,7 @@ def demos_command(
             for k in range(count)
         ]
         with usable_folder(kept.parent), going_on(lambda: "the same command goes on where it stopped"):
-            announce_compilation("fem", physics)
+            announce_compilation("fem", "planning", physics)
             rows = run_with_bar(tasks, demos.demonstrate, kept, jobs, cluster, name)
         typer.echo(demos.summary(rows))
         written = demos.write_dataset(name, rows, tasks[0], command_line())

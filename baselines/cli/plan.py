@@ -22,7 +22,14 @@ from baselines.cli.console import (
     writing,
 )
 from baselines.cli.robust import RobustOption, check_stated, old_worst_cases, stated, worst_cases
-from baselines.cli.verdict import Clock, ResolutionOption, VerifyOption, check_robust, report
+from baselines.cli.verdict import (
+    Clock,
+    ResolutionOption,
+    VerifyOption,
+    check_robust,
+    report,
+    verified_if_meshed,
+)
 from baselines.cli.view import page_of, write_page
 from baselines.jobs.files import write_json, written_whole
 from baselines.pictures.painter import Painter
@@ -91,8 +98,9 @@ def plan_command(
             import planners
             from baselines.cli.candidates import CandidateTable
             from planners.base import NoPlan
+            from retract_env.errors import MeshError
         _check_asked(planner, grip, time)
-        announce_compilation("fem", *(["planning"] if robust or planner == "swift" else []))
+        announce_compilation("fem", "planning")
         with clock.phase("planning"), CandidateTable() as table:
             try:
                 best = planners.plan(
@@ -107,6 +115,8 @@ def plan_command(
             except NoPlan as none:
                 table.update(none.candidates)
                 raise NotCertified(f"no plan certified: {none}") from None
+            except MeshError as problem:
+                raise NotCertified(f"no plan certified: {problem}") from None
             except ImportError as missing:  # it names the extra to install
                 raise BadInput(str(missing)) from None
             table.update(best.candidates)
@@ -114,10 +124,8 @@ def plan_command(
         best = of_scene(best, scene)
         certificate = best.certificate
         if verify:
-            from planners.certify import verified
-
             with clock.phase("verification"):
-                certificate = verified(certificate, scene, best.grasp, best.path)
+                certificate = verified_if_meshed(certificate, scene, best.grasp, best.path)
         if robust:
             with clock.phase("robust statement"):
                 certificate = stated(certificate, scene, best.grasp, best.path)
@@ -170,6 +178,12 @@ def write_plan(plan: Plan, folder: Path, drawn: Callable[[], dict[str, bytes]] |
         if old not in paths:
             old.unlink()
     return paths
+
+
+def forget_plan(folder: Path) -> None:
+    """Delete what `write_plan` wrote into a folder but pictures, if anything."""
+    for old in (folder / "plan.json", folder / "certificate.json", *old_worst_cases(folder)):
+        old.unlink(missing_ok=True)
 
 
 def _check_asked(planner: str, grip: str, time: float | None) -> None:

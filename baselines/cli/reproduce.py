@@ -35,7 +35,7 @@ def reproduce_command(
         try:
             asked = reproduce.names(name)
             folder = stack.enter_context(usable_folder(out))
-            announce_compilation()
+            announce_compilation("fem", "planning")
             written = reproduce.reproduce(asked, folder, resolution, workers, cluster, fresh)
         except (ConfigError, ConnectionError) as problem:
             raise BadInput(str(problem)) from None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -141,4 +142,9 @@ def worst_cases(scene: Scene, grasp: Grasp, path: JawPath, certificate: Certific
 
 def old_worst_cases(folder: Path) -> list[Path]:
     """Files of that sort in a folder."""
-    return sorted(folder.glob("worst-[0-9].json"))
+    return sorted(file for file in folder.glob("worst-*.json") if is_worst_case(file))
+
+
+def is_worst_case(file: Path) -> bool:
+    """Whether the file is called as those of worst cases are."""
+    return re.fullmatch(r"worst-[0-9]+\.json", file.name) is not None

@@ -203,16 +203,19 @@ def _worst(
     from baselines.pictures.page import Table, Tried, followed_by_rod
 
     rows = []
-    for k, (case, z, there) in enumerate(worst_flaps(scene, grasp, path, certificate)):
+    filed = 0
+    for case, z, there in worst_flaps(scene, grasp, path, certificate):
         reason = case["reason"]
         came = "holds, nearest to failing" if reason == "ok" else FAILS.get(reason, reason)
         differs = _differs(scene, grasp, z)
         motion = followed_by_rod(*there) if rod and there is not None else None
         told = [f"{came[0].upper()}{came[1:]}. What differs from the scene: {', '.join(differs)}."]
+        filed += there is not None
+        number = "\N{EN DASH}" if there is None else str(filed)
         rows.append(
             Tried(
-                f"worst case {k + 1}",
-                (str(k + 1), came, ", ".join(differs[:NAMED])),
+                "a case of which there is no plan" if there is None else f"worst case {filed}",
+                (number, came, ", ".join(differs[:NAMED])),
                 tuple(told),
                 motion,
                 None if there is None else there[0],
@@ -220,7 +223,8 @@ def _worst(
         )
         on_step()
     note = "Of the flaps that were drawn, those on which the plan fails or that are nearest to it. "
-    note += "The files worst-1.json and so on beside the certificate are these, as plans."
+    note += "The files worst-1.json and so on beside the certificate are these, as plans; of those that the "
+    note += "jaws do not close on at all there is none."
     columns = ("#", "what becomes of it", "differs most in")
     return Table(f"Worst cases: {len(rows)}", note, columns, tuple(rows), words=len(columns))
 

@@ -26,7 +26,9 @@ NO_RESULTS = (
 """What draws, talks and compares: no number that is kept depends on it. A policy has a hash of its own."""
 DATA = (".py", ".json")
 """Endings of what numbers depend on: sources, and what was measured once and ships with them."""
-LIBRARIES = ("numba", "netgen-mesher", "numpy", "pybullet", "pypardiso", "qdldl", "scipy", "shapely")
+LIBRARIES = (
+    "casadi", "mkl", "numba", "netgen-mesher", "numpy", "pybullet", "pypardiso", "qdldl", "scipy", "shapely",
+)  # fmt: skip
 """Whose numbers results are made of: another version of one may round otherwise, or draw another mesh."""
 
 

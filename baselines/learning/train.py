@@ -23,6 +23,7 @@ from baselines.jobs.files import write_json, written_whole
 from baselines.learning.agents import Agent
 from baselines.learning.checkpoints import CheckpointError, read_checkpoint, write_checkpoint
 from baselines.learning.envs import judge, make_envs, play_on_fem
+from baselines.learning.fields import RecipeError
 from baselines.learning.policies import Policy, load_policy, save_policy
 from baselines.learning.recipe import Recipe
 from retract_env.errors import ConfigError
@@ -93,7 +94,9 @@ def open_run(folder: Path) -> Run:
         run = Run(recipe=Recipe.from_data(data["recipe"]), **kept)
     except FileNotFoundError:
         raise RunError(f"{folder}: holds no training run") from None
-    except (OSError, json.JSONDecodeError, KeyError, TypeError) as error:
+    except RecipeError:
+        raise
+    except (OSError, ValueError, RecursionError, KeyError, TypeError) as error:
         raise RunError(f"{file}: not readable as a training run: {error}") from None
     if run.to_json()["hash"] != data.get("hash"):
         raise RunError(f"{file}: its content does not match its hash")

@@ -26,8 +26,8 @@ MESH_ERRORS = {
 }
 """How far a mesh was off at most: of eps_1% and of the normal force, parts of them; of the needed friction.
 
-`fine` off the limits of ever finer meshes, in seven of eight retractions (docs/results/verification.md; in the
-eighth, which drags the flap under its jaws, by .062 and .049), and in force off converged values
+`fine` off the limits of ever finer meshes, in seven of eight retractions (docs/results/verification.md; in
+the eighth, which drags the flap under its jaws, by .062 and .049), and in force off converged values
 (benchmarks.accuracy); `coarse` off `fine`, on 19 of 20 random flaps (benchmarks.coarse)."""
 PATCH_SLIP = 0.03
 """Part by which more friction is needed where tissue may creep under the jaws node by node, than what the

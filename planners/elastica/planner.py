@@ -20,7 +20,7 @@ from planners.elastica.grip import measured_grip
 from planners.elastica.program import INCREMENTS, KIND, POSES, RESERVE, Unsolved, jaw_path, solve
 from retract_env.grasp import Grasp, JawPath, to_pose
 from retract_env.physics.base import TissueState
-from retract_env.scene import Limits, Scene
+from retract_env.scene import Scene
 
 Array = NDArray[np.float64]
 
@@ -44,7 +44,7 @@ def optimise(
     or follow the flap there.
     """
     grip = measured_grip(scene, grasp, on_increment)
-    lenient = Limits(strain=0.99, friction=5.0)
+    lenient = scene.limits.model_copy(update={"strain": 0.99, "friction": 5.0})
     optimum, correction = None, None
     tried: list[tuple[bool, float, Grasp, JawPath]] = []
     for _ in range(ROUNDS):

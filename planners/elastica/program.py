@@ -45,7 +45,7 @@ OVERRUN = 6
 """Waypoints past the last pose, straight on, should the flap hang a little lower than the rod."""
 
 CLEAR = 0.005
-"""Clearance over the line of sight at the end, over the flap's length."""
+"""Clearance over the line of sight at the end beyond what the scene asks for, over the flap's length."""
 RESERVE = 0.92
 """Part of the friction limit that the program uses."""
 GRIPS = (0.005, 0.45)
@@ -126,6 +126,7 @@ class Program:
         self.camera, self.target, self.grasp = opti.parameter(2), opti.parameter(2), opti.parameter()
         self.pressure, self.squeeze = opti.parameter(2), opti.parameter(2)
         self.friction, self.correction = opti.parameter(), opti.parameter(4, POSES)
+        self.goal = opti.parameter()
 
         # Variables: compression c, strain b of the rod, and the rod in each pose, with its dynamics
         self.compression, self.strain = c, b = opti.variable(), opti.variable()
@@ -160,7 +161,7 @@ class Program:
         opti.subject_to(opti.bounded(-ca.DM(REACH), steps, ca.DM(REACH)))
         opti.subject_to(ca.vertcat(*(rod.lower[1, 0] for rod in inner)) >= 0)
         for points in (outer[-1].lower, outer[-1].upper[:, 0], inner[-1].lower):
-            opti.subject_to(self._clearance(points) >= CLEAR)
+            opti.subject_to(self._clearance(points) >= CLEAR + self.goal)
         opti.subject_to(opti.bounded(GRIPS[0], c, GRIPS[1]))
         opti.subject_to(b >= 1e-3)
 
@@ -236,6 +237,7 @@ def solve(
             program.pressure: np.array(grip.normal) / unit,
             program.squeeze: np.array(grip.strain),
             program.friction: RESERVE * scene.limits.friction,
+            program.goal: scene.limits.clearance / length,
             program.correction: 0 if correction is None else correction / unit,
         }
         ends = ((-length, grasp.x), (grasp.x, 0.0))

@@ -208,7 +208,8 @@ class Program:
         return np.array([[-1.0, self.friction], [1.0, self.friction]]) / self._force
 
     def _above(self, clearances: Array) -> Array:
-        return (clearances / self.scene.tissue.length - CLEAR) / CLEARANCE
+        above = clearances - self.scene.limits.clearance
+        return (above / self.scene.tissue.length - CLEAR) / CLEARANCE
 
     def solve(self) -> None:
         """Improve the unknowns, step by step, until no step promises to gain more. Raises Diverged, where no

@@ -230,6 +230,7 @@ class Search:
     def _program(self, flaps: Flaps, own: bool = True) -> Program:
         """own: whether the first of the flaps is the scene's own."""
         clear = CLEAR_EXACT if self.sample is None else CLEAR
+        clear += self.scene.limits.clearance / self.scene.tissue.length
         return Program(self.scene, flaps, self.reserve, clear, self.correction, own, self.by_force)
 
     def improve(
@@ -325,12 +326,12 @@ class Swift(Contestant):
         self.search.on_step = on_increment
         same = SAME_EXACT if self.search.sample is None else SAME
         for found in self.ranked:
-            current, held, self.search.heard = found, None, False
+            current, certified, self.search.heard = found, False, False
             verdict = yield self.search.plan_of(current.unknowns)
             for round_ in range(CORRECTIONS):
                 self.search.hear(current.unknowns, verdict.history)
                 now = self.search.whole(self.search.look(current.unknowns))
-                held = current if verdict.reason == "ok" else held
+                certified |= verdict.reason == "ok"
                 holds = verdict.reason == "ok" and now.violation <= NEARLY
                 if round_ and holds and self.search.sample is not None:
                     return None
@@ -339,9 +340,7 @@ class Swift(Contestant):
                     return None
                 current = better
                 verdict = yield self.search.plan_of(current.unknowns)
-            if verdict.reason != "ok" and held is not None:
-                verdict = yield self.search.plan_of(held.unknowns)
-            if verdict.reason == "ok":
+            if certified or verdict.reason == "ok":
                 return None
         return None
 

@@ -23,7 +23,7 @@ from retract_env.grasp import Grasp, JawPath
 from retract_env.mesh import jaw_range
 from retract_env.rod.follow import CLEAR, DRAG, NORMAL, STRAIN, TOUCHES
 from retract_env.scene import Scene
-from retract_env.spring import PRESSED
+from retract_env.spring import pressing
 
 Array = NDArray[np.float64]
 
@@ -101,9 +101,7 @@ def motion(scene: Scene, unknowns: Array, times: Array = TIMES) -> Array:
 def force_of(scene: Scene, unknowns: Array) -> Array:
     """(...,) N, of grips by force: that with which a squeeze by the first coefficient of the compression
     presses."""
-    tissue = scene.tissue
-    unit = PRESSED * tissue.modulus * scene.jaws.width * (scene.jaws.depth or tissue.depth)
-    return np.asarray(unknowns[..., GRIP.start] * unit)
+    return np.asarray(unknowns[..., GRIP.start] * pressing(scene))
 
 
 def jaw_path(scene: Scene, unknowns: Array, kind: str, by_force: bool) -> tuple[Grasp, JawPath]:

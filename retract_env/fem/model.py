@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from retract_env.errors import MeshError
+from retract_env.errors import FlapRefused
 from retract_env.fem import descent
 from retract_env.fem.assembly import Assembly
 from retract_env.fem.contact import Contact
@@ -39,13 +39,13 @@ class FlapModel:
     ):
         """resolution: gives the layers over the depth and the bed; the section comes with its own.
 
-        Raises MeshError for a flap that takes more than `MOST_UNKNOWNS`.
+        Raises FlapRefused for a flap that takes more than `MOST_UNKNOWNS`.
         """
         tissue = scene.tissue
         self.scene, self.section, self.jaw_x = scene, section, jaw_x
         self.prism = prism = Prism(section, scene, triangle_points, resolution.layers)
         if prism.size > MOST_UNKNOWNS:
-            raise MeshError(
+            raise FlapRefused(
                 f"tissue: {prism.size} unknowns at {resolution.name!r}, allowed {MOST_UNKNOWNS}; "
                 "the flap is too long or too deep for its height"
             )

@@ -45,10 +45,6 @@ MEMORY = 4
 """Latest equilibria of a path that the next one is extrapolated from."""
 
 
-MOST_MISSED = 2.0
-"""By how much, at most, what a beam missed in the last move is thought to grow with the length of a move."""
-
-
 @dataclass(frozen=True, repr=False, eq=False)
 class FemState:
     """Where a flap stood, for `FemPhysics.set_state`. Not to be changed: who shares it does not copy it."""
@@ -69,8 +65,6 @@ class FemState:
     progress: float
     history: tuple[tuple[float, Array], ...]
     """progress and displacements that the next equilibrium is extrapolated from"""
-    missed: tuple[float, Array] | None
-    """m, how far the last move led, and (n,) m, what the beam that went with its jaws was off by"""
     kept: Kept | None
     """of the solver"""
 
@@ -115,7 +109,6 @@ class FemPhysics:
         self.seconds["assembly"] = time.perf_counter() - start
         self._stop_when = stop_when
         self._history: list[tuple[float, Array]] = []
-        self._missed: tuple[float, Array] | None = None
         self._rest: tuple[Array, Array, float] | None = None
         self._begin()
 
@@ -129,7 +122,6 @@ class FemPhysics:
         self._force = np.zeros_like(self._u)
         self._progress = 0.0
         self._history.clear()
-        self._missed = None
 
     def reset(self) -> TissueState:
         """Let the flap rest on its bed, the open jaws holding it where they touch.
@@ -211,7 +203,7 @@ class FemPhysics:
         last one before. Where the state does not follow from both sides, as where the flap snaps over, the
         jaws go there from the earlier one. The flap itself stays where it is. Raises Diverged.
         """
-        kept = self._u, self._force, self._pose, self._progress, self._history, self._missed
+        kept = self._u, self._force, self._pose, self._progress, self._history
         try:
             nearest = sorted(known, key=lambda k: abs(k[0] - progress))[:MEMORY]
             self._history = sorted(nearest, key=lambda k: k[0])
@@ -225,13 +217,13 @@ class FemPhysics:
                 self.move_to(pose, progress)
             return self.state(), self._u
         finally:
-            self._u, self._force, self._pose, self._progress, self._history, self._missed = kept
+            self._u, self._force, self._pose, self._progress, self._history = kept
 
     def resume(self, pose: Array, progress: float, u: Array) -> None:
         """Go back to an equilibrium, at a pose (4,), whose displacements u (n,) m are known."""
         self._u, self._force = u, self.model.residual(u)[1]
         self._pose, self._progress = self._with_separation(pose, self._separation(u)), progress
-        self._history, self._missed = [(progress, u)], None
+        self._history = [(progress, u)]
         self.equilibrium.forget()
 
     def get_state(self) -> FemState:
@@ -239,7 +231,7 @@ class FemPhysics:
         # no array in it is written to once it is there, here or in the solver
         return FemState(
             self._scene_hash, self.jaw_x, self.resolution, self.force, self._pose, self._u, self._force,
-            self._progress, tuple(self._history), self._missed, self.equilibrium.kept,
+            self._progress, tuple(self._history), self.equilibrium.kept,
         )  # fmt: skip
 
     def set_state(self, state: object) -> None:
@@ -260,7 +252,6 @@ class FemPhysics:
                 raise ValueError(f"the state is that of another {name}: {theirs}, here {ours}")
         self._pose, self._u, self._force = state.pose, state.displacements, state.force
         self._progress, self._history = state.progress, list(state.history)
-        self._missed = state.missed
         self.equilibrium.remember(state.kept)
 
     def close(self) -> None:
@@ -273,9 +264,8 @@ class FemPhysics:
     def _solve(self, pose: Array, progress: float | None, level: float | None) -> None:
         if level is not None:
             pose = self._with_separation(pose, self._predicted(progress, level))
-        guess, beam = self._guess(pose, progress)
+        guess = self._guess(pose, progress)
         self._u, self._force, self._pose = equilibrate(self.equilibrium, guess, pose, level, self._u)
-        self._missed = None if beam is None else (self._way(pose), self._u - beam)
         if progress is None:
             self._history.clear()
             # they would help little where the next move goes elsewhere; states stay small
@@ -285,42 +275,31 @@ class FemPhysics:
             earlier = [h for h in self._history if h[0] != progress]
             self._history = [*earlier[1 - MEMORY :], (progress, self._u)]
 
-    def _guess(self, pose: Array, progress: float | None) -> tuple[Array, Array | None]:
-        """Displacements near those of the equilibrium at this pose, and those of a beam that goes with its
-        jaws, None where they do not keep their distance. Infinite energy where nothing better is found.
+    def _guess(self, pose: Array, progress: float | None) -> Array:
+        """Displacements near those of the equilibrium at this pose. Infinite energy where nothing better is
+        found.
 
-        Of several guesses it is the one of least energy: the beam; the beam off by as much as in the last
-        move, which is better while jaws go on as they did; and the polynomial through earlier equilibria,
-        better still once these follow a smooth path.
+        Of two guesses it is the one of less energy: a beam that goes with its jaws, while they keep their
+        distance; and the polynomial through earlier equilibria, better once these follow a smooth path.
         """
-        jaws, guesses, beam, smooth = to_jaws(pose), [], None, None
+        jaws, guesses = to_jaws(pose), []
         if math.isclose(pose[3], self._pose[3], rel_tol=1e-9):
             beam = self._beam.moved(self._u, self._pose, pose)
             beam[self.model.fixed] = 0.0  # not even rounding moves it
             guesses.append(beam)
-            if self._missed is not None and self._missed[0] > 0:
-                way, missed = self._missed
-                guesses.append(beam + missed * min(self._way(pose) / way, MOST_MISSED))
         if progress is not None and len(self._history) > 1:
-            smooth = self._extrapolate(progress)
-            guesses.append(smooth)
+            guesses.append(self._extrapolate(progress))
         for u in guesses:
             self.model.place_jaws(u, jaws)
         energies = [self.model.residual(u)[0] for u in guesses]
         if guesses and math.isfinite(min(energies)):
-            best = guesses[energies.index(min(energies))]
-            return best, beam
+            return guesses[energies.index(min(energies))]
         moved = self._u.copy()
         self.model.place_jaws(moved, jaws)
         self.equilibrium.factorize(self._u)
         u = self._u + self.equilibrium.step(self._u, moved - self._u)
         self.model.place_jaws(u, jaws)  # rotation is not linear in the step
-        return u, beam
-
-    def _way(self, pose: Array) -> float:
-        """m, how far it is to a pose, turns counted at the flap's height."""
-        x, y, turn, _ = pose - self._pose
-        return float(math.hypot(x, y) + self.scene.tissue.height * abs(turn))
+        return u
 
     def _extrapolate(self, progress: float) -> Array:
         """Lagrange's polynomial through the last equilibria."""

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from pydantic import BeforeValidator
 
-from retract_env.config import Frozen, brief, refusal
+from retract_env.config import Frozen, Range, brief, refusal
 from retract_env.errors import ConfigError, SceneError
-from retract_env.scene import LineOfSight, Scene, Tissue, Vein
+from retract_env.scene import Jaws, LineOfSight, Scene, Tissue, Vein
 from retract_env.scene.veins import MOST_VEINS
 
 if TYPE_CHECKING:
@@ -41,6 +41,23 @@ DENSITY, POISSON = 1000.0, 0.45
 Ends = Annotated[tuple[float, float], BeforeValidator(_ends)]
 
 
+def _within(low: float, high: float, unit: str, ends: str = "[]") -> BeforeValidator:
+    """Both ends have to be what a scene may have, as nothing that is drawn is looked at again."""
+    allowed = Range(low, high, unit, ends)
+
+    def check(value: Any) -> Any:
+        for end in _ends(value):
+            allowed.check(end)
+        return value
+
+    return BeforeValidator(check)
+
+
+_Fraction = Annotated[tuple[float, float], _within(0.0, 1.0, "")]
+_Slopes = Annotated[tuple[float, float], _within(0.0, math.pi / 2, "rad", "(]")]
+_Moduli = Annotated[tuple[float, float], _within(100.0, 1e8, "Pa")]
+
+
 class SceneRanges(Frozen):
     """What `sample_scene` draws from: (least, greatest) each, uniform unless said otherwise."""
 
@@ -48,23 +65,23 @@ class SceneRanges(Frozen):
 
     veins: Annotated[tuple[int, int], BeforeValidator(_counts)] = (0, 20)
     """How many, 500 at most; both ends occur."""
-    vein_modulus: Ends = (8e4, 4e5)
+    vein_modulus: _Moduli = (8e4, 4e5)
     """Pa, log-uniform, for each vein."""
     vein_width: Ends = (0.25, 0.6)
     """Along x, before tilting, as a fraction of the flap's height; shrinks where there is no room."""
     vein_height: Ends = (0.2, 0.55)
     """Along y, likewise."""
-    tissue_modulus: Ends = (4e4, 4e4)
+    tissue_modulus: _Moduli = (4e4, 4e4)
     """Pa, log-uniform."""
-    length: Ends = (0.05, 0.05)
+    length: Annotated[tuple[float, float], _within(4 * Jaws().width, 0.5, "m", "(]")] = (0.05, 0.05)
+    """m; more than four times the jaws' width."""
+    height: Annotated[tuple[float, float], _within(0.0, 0.05, "m", "(]")] = (4.4e-3, 4.4e-3)
     """m."""
-    height: Ends = (4.4e-3, 4.4e-3)
+    depth: Annotated[tuple[float, float], _within(0.0, 0.5, "m", "(]")] = (4.4e-3, 4.4e-3)
     """m."""
-    depth: Ends = (4.4e-3, 4.4e-3)
-    """m."""
-    target: Ends = (0.1, 0.4)
+    target: _Fraction = (0.1, 0.4)
     """Distance of B from the fixed end, as a fraction of the length."""
-    slope: Ends = (math.radians(30.0), math.radians(70.0))
+    slope: _Slopes = (math.radians(30.0), math.radians(70.0))
     """Of the line of sight, rad."""
 
 

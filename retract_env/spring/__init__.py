@@ -2,17 +2,17 @@
 
 from retract_env.compilation import forget_old
 from retract_env.spring.model import Basin, SpringModel, optimal_compression
-from retract_env.spring.press import PRESSED, by_force, expected_compression
+from retract_env.spring.press import by_force, expected_compression, pressing
 from retract_env.spring.stiffness import Stiffness
 
 __all__ = [
-    "PRESSED",
     "Basin",
     "SpringModel",
     "Stiffness",
     "by_force",
     "expected_compression",
     "optimal_compression",
+    "pressing",
 ]
 
 forget_old()

@@ -6,19 +6,24 @@ from retract_env.grasp import Grasp
 from retract_env.scene import Scene
 
 PRESSED = 2.58
-"""Normal force over E w d c, with w the jaws' width, d the flap's depth and c the compression over the
+"""Normal force over E w d c, with w the jaws' width, d their depth and c the compression over the
 height: the median of squeezes of random flaps on finite elements, of which 90 % have 2.18 to 3.59."""
 FIRMEST = 0.5
 """Over the height; no more is expected of any force."""
+
+
+def pressing(scene: Scene) -> float:
+    """N, with which jaws are expected to press over the part of the height by which they close."""
+    depth = scene.jaws.depth or scene.tissue.depth
+    return PRESSED * scene.tissue.modulus * scene.jaws.width * depth
 
 
 def by_force(scene: Scene, grasp: Grasp) -> Grasp:
     """The grasp at the same place that presses as hard as closing so far is expected to."""
     if grasp.force is not None:
         return grasp
-    tissue = scene.tissue
-    unit = PRESSED * tissue.modulus * scene.jaws.width * tissue.depth
-    return Grasp(grasp.x, score=grasp.score, force=unit * grasp.compression / tissue.height)
+    force = pressing(scene) * grasp.compression / scene.tissue.height
+    return Grasp(grasp.x, score=grasp.score, force=force)
 
 
 def expected_compression(scene: Scene, grasp: Grasp) -> float:
@@ -26,6 +31,4 @@ def expected_compression(scene: Scene, grasp: Grasp) -> float:
     nominal."""
     if grasp.force is None:
         return grasp.compression
-    tissue = scene.tissue
-    share = grasp.force / (PRESSED * tissue.modulus * scene.jaws.width * tissue.depth)
-    return min(share, FIRMEST) * tissue.height
+    return min(grasp.force / pressing(scene), FIRMEST) * scene.tissue.height

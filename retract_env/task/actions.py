@@ -28,7 +28,7 @@ def checked(action: ArrayLike) -> Array:
     """
     try:
         numbers = np.asarray(action, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise ValueError(f"action = {action!r}, allowed {SIZE} numbers".replace("\n", " ")) from None
     if numbers.shape != (SIZE,):
         raise ValueError(f"action has shape {numbers.shape}, allowed ({SIZE},)")

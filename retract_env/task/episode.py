@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from retract_env.errors import Diverged, MeshError
+from retract_env.errors import Diverged, FlapRefused, MeshError
 from retract_env.grasp import Grasp, JawPath
 from retract_env.physics.base import Physics, Restorable, TissueState
 from retract_env.physics.pool import PhysicsPool
@@ -98,11 +98,20 @@ class Episode:
         self._physics, self._moves, self._stood = None, list(state.moves), state.physics
 
     def act(self, action: ArrayLike) -> None:
-        """One step of the task: the grasp, then moves. Raises ValueError for what is no action."""
+        """One step of the task: the grasp, then moves.
+
+        Raises ValueError for what is no action, FlapRefused where the physics takes no such flap.
+        """
         if self.now.missed:
             actions.checked(action)  # nothing is left to do
         elif self.grasp is None:
-            self._close(actions.to_grasp(action, self.task.stated, self.task.config))
+            chosen = actions.to_grasp(action, self.task.stated, self.task.config)
+            try:
+                self._close(chosen)
+            except FlapRefused:
+                raise
+            except MeshError:  # there; elsewhere an agent may grasp it
+                self.diverged = True
         else:
             self._move(actions.moved(action, self._moves[-1][0], self.task.config))
         self.now = replace(self.now, steps=self.now.steps + 1)
@@ -111,7 +120,7 @@ class Episode:
         """Close the jaws before the first step, on the spring model's best grasp where none is given.
 
         Raises Diverged where the tissue cannot be squeezed there, nor at the next `MOST_GRASPS` less one,
-        ValueError for a grasp off the flap.
+        ValueError for a grasp off the flap, its kind MeshError for a flap that cannot be meshed.
         """
         stated = self.task.stated
         candidates = spring_grasps(stated)[:MOST_GRASPS] if grasp is None else [grasp]
@@ -150,7 +159,7 @@ class Episode:
             physics = self.pool.take(self.task.scene, grasp.x, self.task.stop_when, grasp.force)
             physics.reset()
             state = _sound(physics.move_to(squeezed, 1.0))
-        except (Diverged, MeshError):
+        except Diverged:
             self.diverged = True
             return
         self.now = replace(self.now, off=off)
@@ -166,7 +175,7 @@ class Episode:
         except Diverged:
             self.diverged = True
             state = physics.state()
-            if np.array_equal(state.jaws, self.now.state.jaws):
+            if not sound(state) or np.array_equal(state.jaws, self.now.state.jaws):
                 return
         self._accept(physics, replace(state, progress=self.history[-1].progress + 1))
 

@@ -67,6 +67,22 @@ def test_the_search_ends_just_below_what_is_allowed(scale: float, power: float) 
     assert ALLOWED * (1 - TOLERANCE) <= law(delta).required_friction <= ALLOWED
 
 
+@pytest.mark.parametrize(
+    "after",
+    [
+        Verdict("not_visible", 0.1, 0.3),
+        Verdict("contact", 0.1, 0.3),
+        Verdict("strain", 0.6, 2 * ALLOWED),
+        Verdict("diverged", progress=0.0),
+    ],
+    ids=lambda verdict: verdict.reason,
+)
+def test_a_grip_that_held_stands_whatever_a_lighter_one_comes_to(after: Verdict) -> None:
+    verdicts = iter([Verdict("ok", 0.1, 0.5 * ALLOWED), after])
+    delta, reason = searched(lambda _: next(verdicts), 1e-3)
+    assert reason == "ok" and math.isclose(delta, 1e-3)
+
+
 def test_what_has_the_friction_at_once_is_tried_once() -> None:
     law = Law(ALLOWED * 1.0e-3 * (1 - TOLERANCE / 2), 1.0)
     assert searched(law, 1.0e-3) == (1.0e-3, "ok")

@@ -16,12 +16,13 @@ from weakref import WeakSet
 import pytest
 
 import planners
-from planners.base import DISMISSED, Candidate, NoPlan, Plan
+from planners.base import DISMISSED, Candidate, Contestant, NoPlan, Plan
 from planners.certify import certify, retraction
 from planners.certify.retraction import SQUEEZE_INCREMENTS
+from planners.effort import TooCostly
 from planners.paths import ctc
-from planners.search import PRUNING, generate_and_test
-from retract_env.errors import MeshError
+from planners.search import PRUNING, generate_and_test, race
+from retract_env.errors import Diverged, MeshError
 from retract_env.grasp import Grasp, JawPath
 from retract_env.mesh import Resolution, SectionMesh, outlines, section_mesh
 from retract_env.physics.fem import FemPhysics
@@ -154,6 +155,31 @@ def test_without_a_certified_candidate_all_are_counted() -> None:
     with pytest.raises(NoPlan, match=r"^4 candidates: 2 strain, 2 slip$") as error:
         generate_and_test(strict, proposals(strict), "test", "coarse", 1, pruning="squeeze")
     assert [c.reason for c in error.value.candidates] == ["strain", "slip", "strain", "slip"]
+
+
+class Restless(Contestant):
+    """Hands in what holds, and does not leave it at that."""
+
+    def __init__(self, held: Plan, then: tuple[Grasp, JawPath] | Exception):
+        super().__init__(held.grasp, held.path)
+        self.then = then
+
+    def propose(self, on_increment: Callable[[], None]) -> planners.base.Proposals:
+        yield self.grasp, self.path
+        if isinstance(self.then, Exception):
+            raise self.then
+        yield self.then
+        return None
+
+
+@pytest.mark.parametrize(
+    "then", [Diverged("staged"), MeshError("staged"), TooCostly("staged"), proposals(a_scene())[2]], ids=repr
+)
+def test_what_was_certified_stands_whatever_comes_after(then: tuple[Grasp, JawPath] | Exception) -> None:
+    held = planned("homogeneous")
+    again = race(SCENES["homogeneous"], [Restless(held, then)], "test", "coarse", 1)
+    assert again.certificate == held.certificate and again.path == held.path
+    assert again.candidates[0].reason == "ok" and again.candidates[0].path == held.path
 
 
 def test_nothing_to_try_is_no_plan() -> None:

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+from typing import Any
+
+import gymnasium as gym
 import numpy as np
 import pytest
 
-from baselines.verification.flaps import HEIGHT
+from baselines.verification.flaps import HEIGHT, square_vein
 from retract_env.env import TissueRetractEnv
-from retract_env.errors import Diverged, MeshError
+from retract_env.errors import Diverged, FlapRefused, MeshError
 from retract_env.grasp import Grasp
 from retract_env.physics import fem
 from retract_env.physics.fem import FemPhysics
@@ -68,3 +73,40 @@ def test_only_the_best_grasps_are_tried_at_reset(monkeypatch: pytest.MonkeyPatch
         env.reset(options={"grasp": "spring"})
     env.close()
     assert tried == [-0.01 - k * 1e-3 for k in range(episode.MOST_GRASPS)]
+
+
+@pytest.mark.parametrize("grasp", ["agent", {"x": -0.3, "compression": 1e-4}])
+def test_an_environment_says_that_it_takes_no_such_flap(grasp: Any) -> None:
+    """It is no divergence, which would be the action's fault."""
+    immense = flap(0.5, 5e-4, 0.05, 4e4)
+    env = gym.make("retract_env:TissueRetractFEM-v0", scene=immense.dump(), grasp=grasp)
+    if grasp == "agent":
+        env.reset(seed=0)
+    with pytest.raises(FlapRefused, match=r"unknowns at 'coarse', allowed 150000"):
+        env.reset(seed=0) if grasp != "agent" else env.step(np.zeros(3, np.float32))
+
+
+def test_bullet_says_which_vein_it_cannot_have() -> None:
+    pytest.importorskip("pybullet")
+    scene = flap(0.05, 0.0044, 0.0044, 4e4, square_vein(-0.02, 0.002, 0.0008, 4.2e6))
+    env = gym.make("retract_env:TissueRetract-v0", scene=scene.dump(), resolution="coarse")
+    env.reset(seed=0)
+    with pytest.raises(FlapRefused, match=r"veins\[0\].modulus = 4.2e\+06 Pa, allowed in Bullet up to"):
+        env.step(np.zeros(3, np.float32))
+    env.close()
+
+
+def test_a_move_that_comes_to_no_numbers_leaves_the_last_that_did(monkeypatch: pytest.MonkeyPatch) -> None:
+    env = gym.make("retract_env:TissueRetractFEM-v0", grasp={"x": -0.03, "compression": 1e-3})
+    env.reset(seed=0)
+    good = FemPhysics.move_to
+
+    def lost(self: FemPhysics, *given: Any) -> Any:
+        state = replace(good(self, *given), worst_strain=math.nan)
+        monkeypatch.setattr(FemPhysics, "state", lambda _: state)
+        return state
+
+    monkeypatch.setattr(FemPhysics, "move_to", lost)
+    after, reward, _, truncated, _ = env.step(np.array([0.0, 1.0, 0.0], np.float32))
+    assert truncated and np.isfinite(after).all() and np.isfinite(float(reward))
+    assert env.observation_space.contains(after)

@@ -12,8 +12,9 @@ import retract_env
 from planners import certify
 from retract_env.errors import ConfigError
 from retract_env.grasp import Grasp
-from retract_env.scene import load_scene
-from retract_env.spring import PRESSED, by_force
+from retract_env.scene import Jaws, load_scene
+from retract_env.spring import by_force, expected_compression
+from retract_env.spring.press import PRESSED
 from retract_env.task import TaskConfig, actions, default_scene
 
 BY_FORCE = TaskConfig(grip="force")
@@ -138,3 +139,12 @@ def test_other_grips_are_refused_in_one_line(name: str, arguments: dict[str, Any
         with pytest.raises((ValueError, ConfigError)) as error:
             make(name, **arguments)
         assert said in str(error.value) and "\n" not in str(error.value)
+
+
+def test_jaws_press_with_the_force_that_the_depth_they_hold_gives_them() -> None:
+    scene, grasp = default_scene(), Grasp(-0.03, 0.88e-3)
+    narrow = scene.model_copy(update={"jaws": Jaws(depth=scene.tissue.depth / 4)})
+    whole, part = by_force(scene, grasp), by_force(narrow, grasp)
+    assert whole.force is not None and part.force == pytest.approx(whole.force / 4)
+    for one, held in ((scene, whole), (narrow, part)):
+        assert expected_compression(one, held) == pytest.approx(grasp.compression)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from planners.whatif import Flaps
 from retract_env.grasp import Grasp, JawPath
 from retract_env.physics.rod import RodPhysics, flap_numbers, sight_numbers
 from retract_env.rod.follow import CLEAR, DRAG, NORMAL, STRAIN
-from retract_env.scenarios import draws, scenario, values
+from retract_env.scenarios import Drawn, draws, scenario, values
 from retract_env.scene import UNKNOWNS, Scene, Uncertainty, load_scene
 from retract_env.spring.columns import veins_of
 
@@ -135,6 +136,27 @@ def test_the_rods_arrays_are_those_of_the_drawn_scenes(
             assert felt[CLEAR] == pytest.approx(state.clearance, abs=1e-9)
             needed = np.where(felt[NORMAL] > 0, np.abs(felt[DRAG]) / felt[NORMAL], np.inf)
             assert needed == pytest.approx(state.required_friction, rel=1e-4, abs=1e-7)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"limits": {"friction": 5.0}},
+        {"jaws": {"width": 0.98 * 0.05 / 4}, "uncertainty": {"jaw_width": 0.1}},
+        {"line_of_sight": {"camera": [-0.013, 0.05], "target": [-0.013, 0.0]}},
+    ],
+    ids=["most friction", "widest jaws", "a line of sight straight down"],
+)
+def test_draws_at_the_edge_of_what_a_scene_may_be_are_the_rods_too(
+    scene: Scene, change: dict[str, Any]
+) -> None:
+    stated = Scene.from_data(scene.dump() | {k: scene.dump()[k] | v for k, v in change.items()})
+    for end in (-1.0, 1.0):
+        z = np.full(len(UNKNOWNS), end)
+        flaps, drawn = Flaps(stated, z), Drawn(stated, z).scene
+        assert flaps.flap[0] == pytest.approx(flap_numbers(drawn), rel=1e-12)
+        assert flaps.sight[0] == pytest.approx(sight_numbers(drawn), rel=1e-12)
+        assert flaps.friction[0] == drawn.limits.friction
 
 
 def test_what_comes_of_one_retraction_depends_on_no_other(scene: Scene, plan: tuple[Grasp, JawPath]) -> None:

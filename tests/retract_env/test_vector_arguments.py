@@ -8,8 +8,12 @@ import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
 
+from retract_env.errors import SceneError
+from retract_env.given import read_actions, read_options
+from retract_env.grasp import Grasp, JawPath
 from retract_env.scene import Scene
 from retract_env.task import default_scene
+from retract_env.task.actions import checked
 from retract_env.vector import TissueRetractVectorEnv
 from tests.retract_env.vectors import HELD, Player, alike, play, same, vector
 
@@ -193,3 +197,43 @@ def test_a_given_grasp_is_looked_at_on_every_random_flap() -> None:
     ranges = {"length": [0.03, 0.06], "veins": [0, 0]}
     with refused("grasp.x = -0.045 m, allowed"):
         vector(40, scene="random", ranges=ranges, grasp={"x": -0.045, "compression": 1e-3}).reset(seed=0)
+
+
+def test_where_a_random_flap_fails_to_begin_all_have_to_be_reset() -> None:
+    """Else the slot goes on that is over, and others whose first observation nobody has seen."""
+    envs = vector(
+        16, scene="random", ranges={"height": [1e-4, 4.4e-3], "veins": [5, 10]}, autoreset_mode="SameStep"
+    )
+    rng = np.random.default_rng(0)
+    for seed in range(40):
+        try:
+            envs.reset(seed=seed)
+            for _ in range(30):
+                envs.step(rng.uniform(-1, 1, (16, 3)))
+        except SceneError:
+            with pytest.raises(ResetNeeded):
+                envs.step(np.zeros((16, 3)))
+            return
+    raise AssertionError("every flap had room")
+
+
+@pytest.mark.parametrize("seed", [1.5, {"a": 1}, "seven"])
+def test_a_seed_that_is_none_is_one_line(seed: Any) -> None:
+    with refused("seed"):
+        vector(3).reset(seed=seed)
+
+
+def test_numbers_beyond_all_floats_are_one_line() -> None:
+    huge = 10**400
+    with refused("action"):
+        checked([huge, 0, 0])
+    with refused("actions"):
+        read_actions([[huge, 0, 0]], 1)
+    with refused("grasp.x"):
+        Grasp(-huge, 1e-3)
+    with refused("path.waypoints"):
+        JawPath([[huge, 0, 0, 1], [0, 0, 0, 1]], "far")  # type: ignore[arg-type]
+    with refused("options: unknown 1"):
+        read_options({1: 2})  # type: ignore[dict-item]
+    with refused("grasp.x = '-0.03'"):
+        Grasp("-0.03", 1e-3)  # type: ignore[arg-type]

@@ -15,7 +15,7 @@ import shapely
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-from retract_env.errors import MeshError
+from retract_env.errors import FlapRefused
 from retract_env.mesh import SectionMesh, patch_ends
 from retract_env.scene import Scene
 
@@ -97,7 +97,7 @@ def tet_mesh(scene: Scene, jaw_x: float, along: float, across: int, deep: int) -
 
     jaw_x: m, middle of the patches; along: about the length of a cube over the flap's height; across, deep:
     cubes over the height and over a depth up to 1.5 heights; up to four times as many over a deeper flap.
-    Raises ValueError for a grasp as `patch_ends`, MeshError for a vein stiffer than MOST_COPIES times the
+    Raises ValueError for a grasp as `patch_ends`, FlapRefused for a vein stiffer than MOST_COPIES times the
     tissue.
     """
     tissue = scene.tissue
@@ -143,7 +143,7 @@ def tet_mesh(scene: Scene, jaw_x: float, along: float, across: int, deep: int) -
     section, section_nodes = _section(xs, ys, flat, triangles, most.astype(np.int32), (low, high))
     copies = np.array([1, *(v.copies for v in veins)], np.int32)[vein + 1]
     if (listed := int(copies.sum())) > MOST_TETRAHEDRA:
-        raise MeshError(
+        raise FlapRefused(
             f"tissue: {listed} tetrahedra, stiff veins counted several times, allowed in Bullet up to "
             f"{MOST_TETRAHEDRA}; a coarser resolution has fewer"
         )
@@ -171,7 +171,7 @@ def _veins(scene: Scene, centres: Array, volume: Array) -> tuple[Ints, tuple[Vei
         copies = max(1, 2 * round((ratio - 1) / 2) + 1)
         if copies > MOST_COPIES:
             most = MOST_COPIES * tissue.modulus
-            raise MeshError(
+            raise FlapRefused(
                 f"tissue.veins[{i}].modulus = {v.modulus:g} Pa, allowed in Bullet up to {most:g} Pa"
             )
         outline = shapely.Polygon(v.outline)

@@ -23,7 +23,8 @@ from baselines.jobs.journal import key_of, run_tasks
 from baselines.jobs.version import code_version
 from baselines.learning.policies import PolicyError, save_policy
 from planners import PLANNERS, certify, plan
-from planners.paths import ctc
+from planners.base import Candidate, NoPlan
+from planners.paths import circular, ctc
 from retract_env.config import read_yaml
 from retract_env.grasp import Grasp
 from retract_env.scene import Scene
@@ -299,3 +300,25 @@ def test_policies_may_move_on_another_physics(benchmark: Benchmark) -> None:
     assert rods["certified"] and elements["certified"]
     assert rods["max_strain"] == pytest.approx(elements["max_strain"], rel=0.1)
     assert rods["max_strain"] != elements["max_strain"]
+
+
+def test_what_keeps_a_planner_from_an_answer_is_a_reason_that_is_counted(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for reason, told, detail in (
+        ("slip", "slip", ""),
+        ("unsure", "unsure", ""),
+        ("unsolved (infeasible)", "unsolved", "unsolved (infeasible)"),
+        ("unmeshable", "unsolved", "unmeshable"),
+    ):
+
+        def fails(*_: Any, reason: str = reason, **__: Any) -> Any:
+            grasp = Grasp(-0.03, 1e-3)
+            candidate = Candidate(0, grasp, circular(default_scene(), grasp))
+            candidate.reason = reason
+            raise NoPlan([candidate])
+
+        monkeypatch.setitem(COMPETING, "ctc", fails)
+        row = attempts.hand_in(coarse(Method("planner", "ctc"), easy_scene()))
+        assert (row["reason"], row["detail"]) == (told, detail)
+        assert row["reason"] in contest.REASONS

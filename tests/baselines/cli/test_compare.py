@@ -72,6 +72,26 @@ def test_the_table_the_plans_and_the_pictures(
     }  # fmt: skip
 
 
+@pytest.mark.usefixtures("quick")
+def test_plans_of_an_earlier_run_go_where_there_is_none_now(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    command = ["compare", "homogeneous", "--out", str(tmp_path), *["--no-pictures", "--resolution", "coarse"]]
+    assert main(command) == 0
+    (tmp_path / "ctc" / "mine.txt").write_text("kept")
+    found = planners.plan
+
+    def plan(scene: Scene, planner: str, *given: object, grip: str) -> Plan:
+        if planner == "ctc":
+            raise NoPlan([])
+        return found(scene, planner, *given, grip=grip)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(planners, "plan", plan)
+    assert main(command) == 0
+    assert [file.name for file in (tmp_path / "ctc").iterdir()] == ["mine.txt"]
+    assert (tmp_path / "swift" / "plan.json").exists()
+
+
 def test_swift_spares_the_tissue_and_a_grip_by_force_more(compared: list[Compared]) -> None:
     strains = [one.plan.certificate.max_strain for one in compared if one.plan is not None]
     assert len(strains) == 3

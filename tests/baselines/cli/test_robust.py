@@ -15,6 +15,7 @@ import yaml
 import planners
 from baselines.cli import main
 from baselines.cli.robust import hurts, percent, told, worst_cases
+from baselines.cli.shown import _worst
 from baselines.cli.verdict import margins
 from planners.base import Plan, plan_from_json
 from planners.certify import Certificate, Robust
@@ -133,6 +134,9 @@ def test_worst_cases_are_plans_of_the_flaps_drawn(plan: Plan, stated: Certificat
     cases = worst_cases(plan.scene, plan.grasp, plan.path, stated)
     # the jaws miss the thinnest flap altogether, which is no plan
     assert list(cases) == ["worst-1.json", "worst-2.json"]
+    rows = _worst(plan.scene, plan.grasp, plan.path, stated, rod=False, on_step=lambda: None).rows
+    assert [row.cells[0] for row in rows] == ["\N{EN DASH}", "1", "2"]
+    assert [row.scene is None for row in rows] == [True, False, False]
     for case in cases.values():
         there, grasp, path = plan_from_json(json.loads(json.dumps(case)))
         assert there.hash != plan.scene.hash

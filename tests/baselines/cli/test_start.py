@@ -117,7 +117,7 @@ from baselines.cli import main
 from baselines.cli.console import announce_compilation
 import retract_env.fem
 assert not retract_env.fem.kernels_are_cached()
-announce_compilation()
+announce_compilation("fem", "planning")
 assert retract_env.fem.kernels_are_cached()
 with install_recorder("numba:compile") as recorder:
     assert main(["plan", "ten_veins", "--no-pictures", "--resolution", "coarse"]) == 0

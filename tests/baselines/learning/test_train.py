@@ -287,11 +287,15 @@ def test_a_corrupted_or_foreign_checkpoint_is_refused(
     assert f"{train.CHECKPOINT}: {message}" in str(caught.value) and "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("content", ["", "{", "[]", '{"recipe": 3}', '{"seed": 0}'])
-def test_a_folder_without_a_sound_run_is_refused(tmp_path: Path, content: str) -> None:
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"{", b"[]", b'{"recipe": 3}', b'{"seed": 0}', b"\xff\xfe{", b"[" * 200_000],
+    ids=lambda content: repr(content[:12]),
+)
+def test_a_folder_without_a_sound_run_is_refused(tmp_path: Path, content: bytes) -> None:
     with pytest.raises(train.RunError, match=r"holds no training run$"):
         train.open_run(tmp_path)
-    (tmp_path / train.RUN).write_text(content)
+    (tmp_path / train.RUN).write_bytes(content)
     with pytest.raises(train.RunError, match=r"run\.json: not readable as a training run: "):
         train.open_run(tmp_path)
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from baselines.verification.flaps import HEIGHT
+from planners import plan
 from planners.certify import Certificate
 from planners.certify.retraction import ON_TIME
 from planners.paths import ctc
@@ -88,3 +89,15 @@ def test_bad_margins_are_one_line() -> None:
         Limits(clearance=-1e-3)
     with pytest.raises(ValueError, match=r"thickness = 0.0 m, allowed \(0, 0.02\] m"):
         Jaws(thickness=0.0)
+
+
+@pytest.mark.parametrize("planner", ["swift", "ctc", "eased", "fem_gradient", "light_grip", "elastica"])
+def test_planners_plan_for_the_clearance_that_is_asked_for(planner: str) -> None:
+    """6 % of the length, which no planner's own margin covers."""
+    if planner == "elastica":
+        pytest.importorskip("casadi")
+    asked = 3e-3
+    scene = a_scene()
+    scene = scene.model_copy(update={"limits": scene.limits.model_copy(update={"clearance": asked})})
+    certificate = plan(scene, planner, "coarse", workers=1).certificate
+    assert certificate.certified and asked <= certificate.clearance < asked + 0.05 * scene.tissue.length

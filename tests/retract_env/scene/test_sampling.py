@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from typing import Any
 
 import numpy as np
+import pytest
 import shapely
 
 from retract_env.scene import Scene, sample_scene
@@ -67,6 +69,22 @@ def test_ranges_that_cannot_be_met_are_refused() -> None:
     assert "no room for vein" in complaint(lambda: sample_scene(rng, crowd))
     assert "veins = (0, 501), allowed up to 500" in complaint(lambda: SceneRanges(veins=(0, 501)))
     assert "slope = (2, 1), allowed [least, greatest]" in complaint(lambda: SceneRanges(slope=(2, 1)))
-    assert "height = " in complaint(
-        lambda: sample_scene(rng, SceneRanges(height=(1.0, 1.0), length=(0.5, 0.5)))
-    )
+
+
+@pytest.mark.parametrize(
+    ("ranges", "said"),
+    [
+        ({"height": (0.004, 1.0)}, "height = 1.0 m, allowed (0, 0.05] m"),
+        ({"vein_modulus": (50, 4e5)}, "vein_modulus = 50 Pa, allowed [100, 1e+08] Pa"),
+        ({"tissue_modulus": (4e4, 1e9)}, "tissue_modulus = 1000000000.0 Pa, allowed"),
+        ({"length": (0.003, 0.05)}, "length = 0.003 m, allowed (0.004, 0.5] m"),
+        ({"depth": (0.0, 0.004)}, "depth = 0.0 m, allowed (0, 0.5] m"),
+        ({"target": (0.1, 1.1)}, "target = 1.1, allowed [0, 1]"),
+        ({"slope": (0.5, 2.0)}, "slope = 2.0 rad, allowed (0, 1.5708] rad"),
+    ],
+    ids=lambda given: next(iter(given)) if isinstance(given, dict) else "",
+)
+def test_ranges_that_no_scene_may_have_are_refused_whatever_the_seed(
+    ranges: dict[str, Any], said: str
+) -> None:
+    assert said in complaint(lambda: SceneRanges(**ranges))
