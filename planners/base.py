@@ -94,9 +94,9 @@ def verdict_of(retraction: Retraction, reason: str | None = None) -> Verdict:
 
 
 Proposals = Generator[tuple[Grasp, JawPath], Verdict, Verdict | None]
-"""What a contestant hands in one after the other, each answered by the verdict on it. Returns None where the
-last verdict is to stand, or a verdict of its own, never "ok", where it withdraws. Where that is not "ok",
-what was certified last stands instead."""
+"""What a contestant hands in one after the other, each answered by the verdict on it. Returns None where what
+was certified last is to stand, or the last verdict if nothing was; or a verdict of its own, never "ok", where
+it withdraws."""
 
 
 class Contestant:

@@ -203,8 +203,7 @@ class _Race:
         if self._dismissed(i):
             return
         with self._lock:
-            known = self.runners[i].foreseen is not NOTHING
-            leads = known and self.leader is None and self.best is None
+            leads = self.runners[i].foreseen is not NOTHING and self.leader is None and self.best is None
             if leads:
                 self.leader = i
         if leads:
@@ -267,9 +266,10 @@ class _Race:
             try:
                 grasp, path = next(runner.proposals) if verdict is None else runner.proposals.send(verdict)
             except StopIteration as end:
-                final = end.value if verdict is None or end.value is not None else verdict
-                assert final is not None, "a contestant hands something in or says why not"
-                return runner.standing(final)
+                if end.value is not None:  # it withdraws
+                    return end.value
+                assert verdict is not None, "a contestant hands something in or says why not"
+                return runner.standing(verdict)
             except MeshError:
                 return runner.standing(Verdict("unmeshable"))
             except Diverged:

@@ -62,11 +62,14 @@ class FakeTrial:
 
 
 class Scripted(Contestant):
-    """Hands in grasps one after the other and notes the verdicts; `between` is called in between."""
+    """Hands in grasps one after the other and notes the verdicts; `between` is called in between, and it
+    withdraws in the end where it is to."""
 
-    def __init__(self, *grasps: Grasp, between: Callable[[], None] = lambda: None):
+    def __init__(
+        self, *grasps: Grasp, between: Callable[[], None] = lambda: None, withdraws: Verdict | None = None
+    ):
         super().__init__(grasps[0], ctc(a_scene(), grasps[0], 4))
-        self.grasps, self.between = grasps, between
+        self.grasps, self.between, self.withdraws = grasps, between, withdraws
         self.heard: list[str] = []
 
     def propose(self, on_increment: Callable[[], None]) -> Proposals:
@@ -75,7 +78,7 @@ class Scripted(Contestant):
                 self.between()
             verdict = yield grasp, ctc(a_scene(), grasp, 4)
             self.heard.append(verdict.reason)
-        return None
+        return self.withdraws
 
 
 @pytest.fixture
@@ -104,7 +107,7 @@ def test_what_is_ok_between_two_attempts_is_not_the_best(fake: Callable[..., Gra
     def between() -> None:
         assert other_done.wait(SOON)
 
-    wavering = Scripted(fake("ok", 0.1), fake("slip", 0.1), between=between)
+    wavering = Scripted(fake("ok", 0.1), fake("slip", 0.1), between=between, withdraws=Verdict("slip"))
     steady = Scripted(fake("ok", 0.2))
 
     def update(candidates: Sequence[Candidate]) -> None:
@@ -120,27 +123,25 @@ def test_what_is_ok_between_two_attempts_is_not_the_best(fake: Callable[..., Gra
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_ok_then_slip_is_no_plan(fake: Callable[..., Grasp], workers: int) -> None:
-    contestants = [Scripted(fake("ok"), fake("slip")) for _ in range(3)]
+def test_slip_throughout_is_no_plan(fake: Callable[..., Grasp], workers: int) -> None:
+    contestants = [Scripted(fake("strain"), fake("slip")) for _ in range(3)]
     with pytest.raises(NoPlan, match=r"^3 candidates: 3 slip$"):
         race(a_scene(), contestants, "test", "coarse", workers)
 
 
-def test_the_last_proposal_is_what_stands(fake: Callable[..., Grasp]) -> None:
-    contestant = Scripted(fake("slip"), fake("ok", 0.2), fake("ok", 0.3))
+def test_what_was_certified_last_is_what_stands(fake: Callable[..., Grasp]) -> None:
+    contestant = Scripted(fake("slip"), fake("ok", 0.2), fake("ok", 0.3), fake("slip", 0.1))
     found = race(a_scene(), [contestant], "test", "coarse", 1)
-    assert contestant.heard == ["slip", "ok", "ok"]
-    assert found.grasp == contestant.grasps[-1]
+    assert contestant.heard == ["slip", "ok", "ok", "slip"]
+    assert found.grasp == contestant.grasps[2]
+    assert [(c.reason, c.max_strain, c.grasp) for c in found.candidates] == [("ok", 0.3, found.grasp)]
 
 
 def test_who_withdraws_says_why(fake: Callable[..., Grasp]) -> None:
-    class Withdraws(Scripted):
-        def propose(self, on_increment: Callable[[], None]) -> Proposals:
-            yield self.grasp, self.path
-            return Verdict("too near its limit", required_friction=0.49)
-
+    """Be it from what was certified."""
+    contestant = Scripted(fake("ok"), withdraws=Verdict("too near its limit", required_friction=0.49))
     with pytest.raises(NoPlan, match="1 too near its limit"):
-        race(a_scene(), [Withdraws(fake("ok"))], "test", "coarse", 1)
+        race(a_scene(), [contestant], "test", "coarse", 1)
 
 
 @pytest.mark.parametrize(
