@@ -37,8 +37,9 @@ class Runner:
         if verdict is not None and verdict.reason == "ok":
             self.certified = self.trial
 
-    def standing(self, last: Verdict) -> Verdict:
+    def standing(self, last: Verdict | None) -> Verdict:
         """The verdict with which it ends: the last, or that on what was certified before it."""
+        assert last is not None, "a contestant hands something in or says why not"
         if last.reason == "ok" or self.certified is None:
             return last
         self.trial = self.certified

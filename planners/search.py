@@ -266,10 +266,8 @@ class _Race:
             try:
                 grasp, path = next(runner.proposals) if verdict is None else runner.proposals.send(verdict)
             except StopIteration as end:
-                if end.value is not None:  # it withdraws
-                    return end.value
-                assert verdict is not None, "a contestant hands something in or says why not"
-                return runner.standing(verdict)
+                withdrawn: Verdict | None = end.value
+                return withdrawn or runner.standing(verdict)
             except MeshError:
                 return runner.standing(Verdict("unmeshable"))
             except Diverged:
