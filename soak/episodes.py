@@ -14,7 +14,7 @@ import gymnasium as gym
 import numpy as np
 
 from baselines.jobs.journal import Row, WorkItem
-from retract_env.errors import ConfigError, MeshError
+from retract_env.errors import ConfigError, FlapRefused, MeshError
 from retract_env.physics.registry import PHYSICS
 from soak.outcomes import apart
 from soak.scenes import wide_scene
@@ -60,15 +60,19 @@ def _played(task: dict[str, Any]) -> Row:
                 ends["refused"] += 1
                 continue
             over = False
-            while not over:
-                action = rng.uniform(-1, 1, 3).astype(np.float32)
-                start = time.process_time()
-                seen, reward, terminated, truncated, info = env.step(action)
-                slowest = max(slowest, time.process_time() - start)
-                over = terminated or truncated
-                steps += 1
-                if not (env.observation_space.contains(seen) and np.isfinite(float(reward))):
-                    unsound = f"episode {number}: an observation or a reward that is out of bounds"
+            try:
+                while not over:
+                    action = rng.uniform(-1, 1, 3).astype(np.float32)
+                    start = time.process_time()
+                    seen, reward, terminated, truncated, info = env.step(action)
+                    slowest = max(slowest, time.process_time() - start)
+                    over = terminated or truncated
+                    steps += 1
+                    if not (env.observation_space.contains(seen) and np.isfinite(float(reward))):
+                        unsound = f"episode {number}: an observation or a reward that is out of bounds"
+            except FlapRefused:  # as the jaws close
+                ends["refused"] += 1
+                continue
             ends["ok" if info["is_success"] else str(info["failure"] or "not_visible")] += 1
     finally:
         env.close()

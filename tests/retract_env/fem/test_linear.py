@@ -92,3 +92,17 @@ def test_a_rough_factorisation_is_right_to_five_digits() -> None:
         assert factor.solve(b) == pytest.approx(np.linalg.solve(scale * full, b), rel=1e-5, abs=1e-7)
     with pytest.raises(NotPositiveDefinite):
         factor.factorize(-upper.data)
+
+
+@pytest.mark.parametrize("scale", [1e-20, 1e36, 1e200])
+@pytest.mark.parametrize("load", [1.0, 1e39, 1e150])
+def test_values_that_single_precision_does_not_know_are_solved_as_well(scale: float, load: float) -> None:
+    """Elements that are crushed to nothing come to such tangents and forces."""
+    n, rng = 30, np.random.default_rng(1)
+    dense = rng.uniform(-1, 1, (n, n))
+    matrix = dense @ dense.T + n * np.eye(n)
+    upper = csr_matrix(np.triu(matrix))
+    factor = cholesky(upper.indptr, upper.indices, rough=True)
+    factor.factorize(scale * upper.data)
+    b = rng.uniform(-1, 1, n)
+    assert factor.solve(load * b) * (scale / load) == pytest.approx(np.linalg.solve(matrix, b), rel=1e-4)
