@@ -48,6 +48,8 @@ def writing(path: Path) -> Iterator[None]:
     """What cannot be written in the block, as BadInput."""
     try:
         yield
+    except ConnectionError:  # a kind of OSError that is no file's
+        raise
     except OSError as problem:
         raise BadInput(f"cannot write {problem.filename or path}: {why(problem)}") from None
 

@@ -10,6 +10,7 @@ import typer
 
 from baselines.cli.console import RESULTS, BadInput, announce_compilation, exit_codes, usable_folder
 from baselines.cli.verdict import ResolutionOption
+from baselines.cli.work import expected
 from baselines.paper.studies import STUDIES
 
 
@@ -30,13 +31,10 @@ def reproduce_command(
         if cluster is not None and workers is not None:
             raise BadInput("--workers and --cluster: allowed one of them, the cluster has its own workers")
         from baselines.paper import reproduce
-        from retract_env.errors import ConfigError
 
-        try:
+        with expected():
             asked = reproduce.names(name)
             folder = stack.enter_context(usable_folder(out))
             announce_compilation("fem", "planning")
             written = reproduce.reproduce(asked, folder, resolution, workers, cluster, fresh)
-        except (ConfigError, ConnectionError) as problem:
-            raise BadInput(str(problem)) from None
         typer.echo("written: " + ", ".join(str(path) for path in written))

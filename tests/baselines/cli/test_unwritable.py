@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from importlib import import_module
 from pathlib import Path
 
@@ -37,3 +38,26 @@ def test_a_folder_that_cannot_be_made_is_refused_first(
     assert said.err.splitlines() == [f"error: cannot write {where}: not a directory"]
     assert said.out == ""
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_a_study_whose_journal_cannot_grow_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device", str(tmp_path / ".fig7.jsonl"))
+
+    monkeypatch.setattr("baselines.paper.reproduce.reproduce", full)
+    assert main(["reproduce", "fig7", "--out", str(tmp_path)]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(f"error: cannot write {tmp_path}/.fig7.jsonl: ") and said.count("\n") == 1
+
+
+def test_a_cluster_that_is_not_there_is_no_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def nowhere(*_: object) -> None:
+        raise ConnectionError("no cluster at nowhere:1")
+
+    monkeypatch.setattr("baselines.paper.reproduce.reproduce", nowhere)
+    assert main(["reproduce", "fig7", "--out", str(tmp_path)]) == 2
+    assert capsys.readouterr().err == "error: no cluster at nowhere:1\n"
