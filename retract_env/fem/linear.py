@@ -162,12 +162,10 @@ class Pardiso:
     def _fitting(self, values: Array) -> float:
         """The unit in which values fit into the numbers that are computed with; a power of two, 1 as a rule.
         Elements that are crushed to nothing are stiffer than single precision can say."""
-        if self._kind is np.float64:
+        greatest = 0.0 if self._kind is np.float64 else float(np.abs(values).max(initial=0.0))
+        if greatest < HUGE or not math.isfinite(greatest):
             return 1.0
-        greatest = float(np.abs(values).max(initial=0.0))
-        return (
-            1.0 if greatest < HUGE or not math.isfinite(greatest) else 2.0 ** math.ceil(math.log2(greatest))
-        )
+        return math.ldexp(1.0, math.frexp(greatest)[1] - 1)
 
 
 class _Call:

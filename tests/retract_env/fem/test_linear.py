@@ -94,7 +94,7 @@ def test_a_rough_factorisation_is_right_to_five_digits() -> None:
         factor.factorize(-upper.data)
 
 
-@pytest.mark.parametrize("scale", [1e-20, 1e36, 1e200])
+@pytest.mark.parametrize("scale", [1e-20, 1e36, 1e306])
 @pytest.mark.parametrize("load", [1.0, 1e39, 1e150])
 def test_values_that_single_precision_does_not_know_are_solved_as_well(scale: float, load: float) -> None:
     """Elements that are crushed to nothing come to such tangents and forces."""
