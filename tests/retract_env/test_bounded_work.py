@@ -86,12 +86,20 @@ def test_an_environment_says_that_it_takes_no_such_flap(grasp: Any) -> None:
         env.reset(seed=0) if grasp != "agent" else env.step(np.zeros(3, np.float32))
 
 
-def test_bullet_says_which_vein_it_cannot_have() -> None:
+@pytest.mark.parametrize(
+    ("density", "modulus", "said"),
+    [
+        (1000.0, 4.2e6, r"veins\[0\].modulus = 4.2e\+06 Pa, allowed in Bullet up to"),
+        (0.0, 2e5, r"tissue.density = 0 kg/m\^3, allowed in Bullet above 0 kg/m\^3"),
+    ],
+)
+def test_bullet_says_what_it_cannot_have(density: float, modulus: float, said: str) -> None:
     pytest.importorskip("pybullet")
-    scene = flap(0.05, 0.0044, 0.0044, 4e4, square_vein(-0.02, 0.002, 0.0008, 4.2e6))
+    scene = flap(0.05, 0.0044, 0.0044, 4e4, square_vein(-0.02, 0.002, 0.0008, modulus))
+    scene = scene.model_copy(update={"tissue": scene.tissue.model_copy(update={"density": density})})
     env = gym.make("retract_env:TissueRetract-v0", scene=scene.dump(), resolution="coarse")
     env.reset(seed=0)
-    with pytest.raises(FlapRefused, match=r"veins\[0\].modulus = 4.2e\+06 Pa, allowed in Bullet up to"):
+    with pytest.raises(FlapRefused, match=said):
         env.step(np.zeros(3, np.float32))
     env.close()
 

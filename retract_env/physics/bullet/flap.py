@@ -24,7 +24,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from retract_env.errors import Diverged
+from retract_env.errors import Diverged, FlapRefused
 from retract_env.grasp import to_jaws, to_pose
 from retract_env.physics.base import TissueState
 from retract_env.physics.bullet.prediction import Prediction
@@ -109,7 +109,8 @@ class BulletPhysics:
         reached by a move which cannot be completed; the move ends there if it returns True; force: N, by
         which the jaws hold, to `FORCE_TOLERANCE`, None: by their separation.
 
-        Raises ImportError, one line, without pybullet, and ValueError as `tet_mesh`.
+        Raises ImportError, one line, without pybullet, FlapRefused for tissue without mass, and ValueError as
+        `tet_mesh`.
         """
         if isinstance(resolution, str):
             if resolution not in BULLET_RESOLUTIONS:
@@ -118,6 +119,8 @@ class BulletPhysics:
         self.scene, self.resolution, self.jaw_x, self.force = scene, resolution, jaw_x, force
         self._stop_when = stop_when
         tissue = scene.tissue
+        if tissue.density == 0:
+            raise FlapRefused("tissue.density = 0 kg/m^3, allowed in Bullet above 0 kg/m^3")
         self.mesh = mesh = tet_mesh(scene, jaw_x, resolution.along, resolution.across, resolution.deep)
         self.section = mesh.section
         self.flap = TetrahedralFlap(scene, mesh)
