@@ -25,7 +25,8 @@ LIMIT = 1800.0
 """s, for a block."""
 LONGEST_STEP = {"rod": 5.0, "fem": 180.0, "bullet": 120.0}
 """s of processor time that a reset or a step may take. On finite elements: some 300 Newton iterations are
-allowed on a flap twelve times as deep as long, of 21,000 unknowns, each with up to two factorisations of .25 s."""
+allowed on a flap twelve times as deep as long, of 21,000 unknowns, each with one or two factorisations of
+.25 s."""
 
 
 def episode_tasks(physics: str, episodes: int, code: str) -> list[dict[str, Any]]:
