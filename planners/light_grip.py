@@ -75,7 +75,7 @@ def least_compression(start: float, most: float, allowed: float) -> Compressions
         torn = verdict.reason == "strain" and friction > allowed  # a lighter grip slips, a firmer tears
         restless = verdict.reason == "diverged" and verdict.progress == 0  # whatever the jaws do
         if torn or restless or verdict.reason not in MENDABLE:
-            broken, why = x, verdict.reason
+            why = verdict.reason
             break
         y = math.log(min(max(friction, 1e-3 * allowed), 1e3 * allowed))
         if friction > allowed:

@@ -247,8 +247,9 @@ class _Race:
                 clock.lap()
                 self._tell(i, "moving")
 
-            while (verdict := self._next(i, self._retracted(runner, step))) is None:
-                pass
+            verdict = None
+            while verdict is None:
+                verdict = self._next(i, self._retracted(runner, step))
         self._finish(i, verdict)
         self._let_go(i)
 

@@ -187,7 +187,6 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
                 z = asked.unknowns
                 self._prepare(int(k), asked._replace(unknowns=z[k] if z is not None and z.ndim == 2 else z))
         self._begin(mask)
-        self._begun |= mask
         return self._flaps.told.observation.copy(), infos_of(self._flaps.told.info, mask)
 
     def step(self, actions: ArrayLike) -> tuple[NDArray[np.float32], Array, Flags, Flags, dict[str, Any]]:
@@ -214,9 +213,7 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
         self._workers.run(settle_range, flaps, False)
         self._workers.run(show_range, flaps, ~told.renewed, modes)
         if told.renewed.any():
-            self._begun &= ~told.renewed  # should one of them fail
             self._begin(told.renewed)
-            self._begun |= told.renewed
         ended = told.terminated | told.truncated
         late = ended & self._special if self.autoreset_mode == AutoresetMode.SAME_STEP else None
         if late is not None and late.any():
@@ -225,7 +222,6 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
             for k in np.flatnonzero(late):
                 self._prepare(int(k))
             self._begin(late)
-            self._begun |= late
         infos = infos_of(told.info, np.ones(self.num_envs, np.bool_))
         if self.autoreset_mode == AutoresetMode.SAME_STEP and ended.any():
             last = np.full(self.num_envs, None, dtype=object)
@@ -289,6 +285,7 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
 
     def _begin(self, mask: Flags) -> None:
         flaps, told = self._flaps, self._flaps.told
+        self._begun &= ~mask  # should one of them fail
         told.renewed[:], told.failed[:] = mask, False
         self._workers.run(begin_range, flaps)
         if told.failed.any():
@@ -301,6 +298,7 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
             if told.failed.any():
                 raise Diverged(f"environment {int(told.failed.argmax())}: the grasp could not be squeezed")
         self._workers.run(show_range, flaps, told.renewed, self._plain)
+        self._begun |= mask
 
     # --- Look-ahead
 

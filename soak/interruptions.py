@@ -165,7 +165,7 @@ def _said(end: str, code: int, errors: str) -> str:
     allowed = {"interrupt": (0, 130), "kill": (0, -signal.SIGKILL), "full disk": (0, 2)}[end]
     if code not in allowed:
         return f"{end}: exit {code}: {errors}"
-    if "Traceback" in errors and LOST not in errors:
+    if errors.count("Traceback") > errors.count(LOST):
         return f"{end}: a traceback: {errors}"
     if end == "full disk" and code == 2 and len(errors.splitlines()) != 1:
         return f"{end}: not one line: {errors}"

@@ -20,8 +20,8 @@ from baselines.cli.console import (
 from baselines.cli.robust import (
     RobustOption,
     check_stated,
+    forget_worst_cases,
     is_worst_case,
-    old_worst_cases,
     stated,
     worst_cases,
 )
@@ -121,9 +121,8 @@ def _write(out: Path, scene: Scene, grasp: Grasp, path: JawPath, certificate: Ce
     with writing(out), ExitStack() as all_or_none:
         for file, content in contents.items():
             write_json(all_or_none.enter_context(written_whole(file)), content)
-    for old in [] if certificate.robust is None else old_worst_cases(out.parent):
-        if old not in contents:
-            old.unlink()
+    if certificate.robust is not None:
+        forget_worst_cases(out.parent, contents)
     return list(contents)
 
 

@@ -21,7 +21,7 @@ from baselines.cli.console import (
     usable_folder,
     writing,
 )
-from baselines.cli.robust import RobustOption, check_stated, old_worst_cases, stated, worst_cases
+from baselines.cli.robust import RobustOption, check_stated, forget_worst_cases, stated, worst_cases
 from baselines.cli.verdict import (
     Clock,
     ResolutionOption,
@@ -174,16 +174,15 @@ def write_plan(plan: Plan, folder: Path, drawn: Callable[[], dict[str, bytes]] |
             write_json(place(name), case)
         for name, data in ({} if drawn is None else drawn()).items():
             place(name).write_bytes(data)
-    for old in old_worst_cases(folder):
-        if old not in paths:
-            old.unlink()
+    forget_worst_cases(folder, paths)
     return paths
 
 
 def forget_plan(folder: Path) -> None:
     """Delete what `write_plan` wrote into a folder but pictures, if anything."""
-    for old in (folder / "plan.json", folder / "certificate.json", *old_worst_cases(folder)):
-        old.unlink(missing_ok=True)
+    for name in ("plan.json", "certificate.json"):
+        (folder / name).unlink(missing_ok=True)
+    forget_worst_cases(folder)
 
 
 def _check_asked(planner: str, grip: str, time: float | None) -> None:

@@ -53,7 +53,7 @@ def play_command(
         if out.suffix != ".json":
             raise BadInput(f"--out = {out}, allowed a file that ends in .json")
         try:
-            import pygame  # noqa: F401
+            import pygame  # noqa: F401  (whether it is there)
         except ImportError:
             raise BadInput("this needs pygame: pip install pygame-ce") from None
         from baselines.play.aside import Aside

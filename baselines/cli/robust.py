@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -140,9 +140,11 @@ def worst_cases(scene: Scene, grasp: Grasp, path: JawPath, certificate: Certific
     return files
 
 
-def old_worst_cases(folder: Path) -> list[Path]:
-    """Files of that sort in a folder."""
-    return sorted(file for file in folder.glob("worst-*.json") if is_worst_case(file))
+def forget_worst_cases(folder: Path, but: Collection[Path] = ()) -> None:
+    """Delete files of that sort in a folder but those that were just written."""
+    for file in folder.glob("worst-*.json"):
+        if is_worst_case(file) and file not in but:
+            file.unlink()
 
 
 def is_worst_case(file: Path) -> bool:

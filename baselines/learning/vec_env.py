@@ -59,6 +59,7 @@ class BatchVecEnv(VecEnv):
         for mask in each.values():
             options = {**self._options[int(mask.argmax())], "reset_mask": mask}
             observations: NDArray[np.float32]
+            # Gymnasium declares one seed alone; ours take one for each environment
             observations, infos = self.envs.reset(seed=self._seeds, options=options)  # type: ignore[arg-type]
             where = np.flatnonzero(mask)
             for place, info in zip(where, rows(infos, where), strict=True):

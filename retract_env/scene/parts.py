@@ -31,6 +31,7 @@ from retract_env.config import (
     refusal,
 )
 from retract_env.errors import ConfigError, SceneError
+from retract_env.scene.bounds import DEPTHS, HEIGHTS, LENGTHS, MODULI, SLOPES
 from retract_env.scene.uncertainty import Uncertainty
 from retract_env.scene.veins import MOST_VEINS, MOST_VERTICES, Outline, fitted, simple
 
@@ -44,7 +45,7 @@ if TYPE_CHECKING:
 
 Coordinate = Annotated[float, Range(-10.0, 10.0, "m")]
 Vertex = Annotated[tuple[Coordinate, Coordinate], Paired]
-Modulus = Annotated[float, Range(100.0, 1e8, "Pa")]
+Modulus = Annotated[float, MODULI]
 Poisson = Annotated[float, Range(0.0, 0.49)]
 Camera = Annotated[tuple[Coordinate, Annotated[float, Range(1e-3, 10.0, "m")]], Paired]
 Target = Annotated[tuple[Coordinate, Annotated[float, Range(0.0, 0.0, "m")]], Paired]
@@ -78,9 +79,9 @@ class Vein(_Part):
 class Tissue(_Part):
     """The flap: a block of soft tissue with veins along its depth. Values of the paper: Sec. V."""
 
-    length: Annotated[float, Range(0.0, 0.5, "m", "(]")]
-    height: Annotated[float, Range(0.0, 0.05, "m", "(]")]
-    depth: Annotated[float, Range(0.0, 0.5, "m", "(]")]
+    length: Annotated[float, LENGTHS]
+    height: Annotated[float, HEIGHTS]
+    depth: Annotated[float, DEPTHS]
     density: Annotated[float, Range(0.0, 2e4, "kg/m^3")]
     modulus: Modulus
     """Young's modulus, Pa."""
@@ -120,7 +121,7 @@ class LineOfSight(_Part):
     def at(cls, target_x: float, slope: float, distance: float = 0.1) -> LineOfSight:
         """Line to (target_x, 0) m that climbs at slope rad towards -x, the camera at distance m."""
         for name, value, allowed in (
-            ("slope", slope, Range(0.0, math.pi / 2, "rad", "(]")),
+            ("slope", slope, SLOPES),
             ("distance", distance, Range(1e-3, 10.0, "m")),
         ):
             if (fault := allowed.fault(value)) is not None:
@@ -150,7 +151,7 @@ class Jaws(_Part):
 
     width: Annotated[float, Range(0.0, 0.125, "m", "()")] = 1e-3
     """Along x, m; below a quarter of the flap's length."""
-    depth: Annotated[float, Range(0.0, 0.5, "m", "(]")] | None = None
+    depth: Annotated[float, DEPTHS] | None = None
     """Along z, m, centred; None is the whole depth of the flap."""
     in_sight: Flag = False
     """Whether the tool hides the target as tissue does: pads and stems have to end above the line too."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from pydantic import BeforeValidator
@@ -10,6 +11,7 @@ from pydantic import BeforeValidator
 from retract_env.config import Frozen, Range, brief, refusal
 from retract_env.errors import ConfigError, SceneError
 from retract_env.scene import Jaws, LineOfSight, Scene, Tissue, Vein
+from retract_env.scene.bounds import DEPTHS, HEIGHTS, LENGTHS, MODULI, SLOPES
 from retract_env.scene.veins import MOST_VEINS
 
 if TYPE_CHECKING:
@@ -41,9 +43,8 @@ DENSITY, POISSON = 1000.0, 0.45
 Ends = Annotated[tuple[float, float], BeforeValidator(_ends)]
 
 
-def _within(low: float, high: float, unit: str, ends: str = "[]") -> BeforeValidator:
+def _within(allowed: Range) -> BeforeValidator:
     """Both ends have to be what a scene may have, as nothing that is drawn is looked at again."""
-    allowed = Range(low, high, unit, ends)
 
     def check(value: Any) -> Any:
         for end in _ends(value):
@@ -53,9 +54,9 @@ def _within(low: float, high: float, unit: str, ends: str = "[]") -> BeforeValid
     return BeforeValidator(check)
 
 
-_Fraction = Annotated[tuple[float, float], _within(0.0, 1.0, "")]
-_Slopes = Annotated[tuple[float, float], _within(0.0, math.pi / 2, "rad", "(]")]
-_Moduli = Annotated[tuple[float, float], _within(100.0, 1e8, "Pa")]
+_Fraction = Annotated[tuple[float, float], _within(Range(0.0, 1.0))]
+_Slopes = Annotated[tuple[float, float], _within(SLOPES)]
+_Moduli = Annotated[tuple[float, float], _within(MODULI)]
 
 
 class SceneRanges(Frozen):
@@ -73,11 +74,11 @@ class SceneRanges(Frozen):
     """Along y, likewise."""
     tissue_modulus: _Moduli = (4e4, 4e4)
     """Pa, log-uniform."""
-    length: Annotated[tuple[float, float], _within(4 * Jaws().width, 0.5, "m", "(]")] = (0.05, 0.05)
+    length: Annotated[tuple[float, float], _within(replace(LENGTHS, low=4 * Jaws().width))] = (0.05, 0.05)
     """m; more than four times the jaws' width."""
-    height: Annotated[tuple[float, float], _within(0.0, 0.05, "m", "(]")] = (4.4e-3, 4.4e-3)
+    height: Annotated[tuple[float, float], _within(HEIGHTS)] = (4.4e-3, 4.4e-3)
     """m."""
-    depth: Annotated[tuple[float, float], _within(0.0, 0.5, "m", "(]")] = (4.4e-3, 4.4e-3)
+    depth: Annotated[tuple[float, float], _within(DEPTHS)] = (4.4e-3, 4.4e-3)
     """m."""
     target: _Fraction = (0.1, 0.4)
     """Distance of B from the fixed end, as a fraction of the length."""

@@ -105,13 +105,7 @@ class Episode:
         if self.now.missed:
             actions.checked(action)  # nothing is left to do
         elif self.grasp is None:
-            chosen = actions.to_grasp(action, self.task.stated, self.task.config)
-            try:
-                self._close(chosen)
-            except FlapRefused:
-                raise
-            except MeshError:  # there; elsewhere an agent may grasp it
-                self.diverged = True
+            self._close(actions.to_grasp(action, self.task.stated, self.task.config))
         else:
             self._move(actions.moved(action, self._moves[-1][0], self.task.config))
         self.now = replace(self.now, steps=self.now.steps + 1)
@@ -120,7 +114,7 @@ class Episode:
         """Close the jaws before the first step, on the spring model's best grasp where none is given.
 
         Raises Diverged where the tissue cannot be squeezed there, nor at the next `MOST_GRASPS` less one,
-        ValueError for a grasp off the flap, its kind MeshError for a flap that cannot be meshed.
+        ValueError for a grasp off the flap, its kind FlapRefused where the physics takes no such flap.
         """
         stated = self.task.stated
         candidates = spring_grasps(stated)[:MOST_GRASPS] if grasp is None else [grasp]
@@ -159,7 +153,9 @@ class Episode:
             physics = self.pool.take(self.task.scene, grasp.x, self.task.stop_when, grasp.force)
             physics.reset()
             state = _sound(physics.move_to(squeezed, 1.0))
-        except Diverged:
+        except FlapRefused:
+            raise
+        except (Diverged, MeshError):  # there; elsewhere it may be grasped
             self.diverged = True
             return
         self.now = replace(self.now, off=off)

@@ -51,7 +51,7 @@ class Learner(Part):
 
     def build(self, envs: VecNormalize, shape: dict[str, Any], seed: int) -> Any:
         """The model, untrained. shape: `net_arch` and `activation_fn` of its networks."""
-        raise NotImplementedError
+        raise NotImplementedError  # every algorithm has its own
 
     def environment(self, envs: VecEnv) -> VecEnv:
         """What it learns in: the environments, or a wrapper of them."""
@@ -62,7 +62,7 @@ class Learner(Part):
 
     def let_actor_learn(self, model: Any, learns: bool) -> None:
         """Whether updates change the policy as well, or the critic alone."""
-        raise NotImplementedError
+        raise NotImplementedError  # every algorithm has its own
 
     def act_from_start(self, model: Any) -> None:
         """The policy was trained before: it acts where an untrained one would leave that to chance."""
