@@ -125,7 +125,7 @@ def scores(plan: dict[str, Any]) -> list[float]:
     if corrected is None:
         return [math.inf] * len(plan["draws"])
     z = np.array([d[0] for d in plan["draws"]])
-    flaps = Flaps(scene, z, grasp.force or math.nan)
+    flaps = Flaps(scene, z)
     exposed, strain, friction = (np.array([d[k] for d in plan["draws"]]) for k in (1, 2, 3))
     rod = robust.followed(scene, grasp, path, flaps, corrected)
     found: list[float] = robust.scores(rod, exposed.tolist(), strain, friction).tolist()

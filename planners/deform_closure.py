@@ -37,6 +37,8 @@ PAIRS, NODES = 160, 10_000
 """Pairs of jaws, and about how many nodes the mesh has, both as in Sec. V-A."""
 SMALL = 1e-6
 """Part of the height by which the jaws close: so little that strains are linear in it, to the same part."""
+MOST_COMPRESSION = 0.9
+"""Over the height: jaws do not meet."""
 RIPPLE = 0.01
 """A minimum counts where it lies below the maxima beside it by this part of them; the mesh makes shallower
 ones."""
@@ -104,6 +106,7 @@ def closure_grasps(scene: Scene, found: Closure | None = None, samples: int = 10
         k_n = found.k[at]
     farthest = found.farthest(scene.limits.strain)[at]
     delta = optimal_compression(found.k[at], k_n, 1.0, 1.0) * farthest
+    delta = np.minimum(delta, MOST_COMPRESSION * scene.tissue.height)
     rows = zip(found.x[at].tolist(), delta.tolist(), (k_n * delta**2 / 2).tolist(), strict=True)
     return sorted((Grasp(*row) for row in rows), key=lambda grasp: (-grasp.score, grasp.x))
 

@@ -62,9 +62,8 @@ def eased(scene: Scene, grasp: Grasp, increments: int = paths.INCREMENTS) -> Jaw
     Raises ValueError as `ctc`.
     """
     poses = paths.ctc(scene, grasp, increments).poses.copy()
-    line, height = scene.line_of_sight, scene.tissue.height
-    goal = paths.arc_turn(1 / paths.goal_radius(line.camera, line.target), -grasp.x, height)
-    fixed = np.array([0.0, height / 2])
+    goal = paths.goal_turn(scene, -grasp.x)
+    fixed = np.array([0.0, scene.tissue.height / 2])
     factor = 1 + STRETCH * np.minimum(-poses[:, 2:3] / goal, 1.0)
     poses[:, :2] = fixed + factor * (poses[:, :2] - fixed)
     poses[:, 2] *= TURN

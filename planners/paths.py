@@ -65,6 +65,18 @@ def arc_curvature(turn: ArrayLike, arc: float, height: float) -> Array:
     return turn / (arc + turn * height / 2)
 
 
+def goal_turn(scene: Scene, arc: float) -> float:
+    """Turn, rad, of a flap of length arc, m, at which Eq. 6 has it clear the line of sight; where the line is
+    nearer than that, the last one that `ctc` makes."""
+    line, height = scene.line_of_sight, scene.tissue.height
+    return float(arc_turn(min(1 / goal_radius(line.camera, line.target), _end(arc, height)), arc, height))
+
+
+def _end(arc: float, height: float) -> float:
+    """Curvature 1/m at which `ctc` ends."""
+    return min(1 / height, float(arc_curvature(MOST_TURN, arc, height)))
+
+
 def ctc_motion(turn: ArrayLike, arc: float, height: float) -> Array:
     """Midpoint and axis angle (..., 3) when the medial axis, `arc` long up to the grasp, turns by phi (...,).
 
@@ -104,7 +116,7 @@ def ctc(scene: Scene, grasp: Grasp, increments: int = INCREMENTS) -> JawPath:
     Raises ValueError for a grasp off the flap, jaws that would meet, or fewer than one increment.
     """
     arc, height = _arc(scene, grasp), scene.tissue.height
-    end = min(1 / height, float(arc_curvature(MOST_TURN, arc, height)))
+    end = _end(arc, height)
     goal = 1 / goal_radius(scene.line_of_sight.camera, scene.line_of_sight.target)
     turn = arc_turn(_steps(goal, end, increments), arc, height)
     return _path(scene, grasp, ctc_motion(turn, arc, height), "ctc")

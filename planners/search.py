@@ -240,6 +240,8 @@ class _Race:
         runner = self.runners[i]
         if runner.done or self._dismissed(i):
             return
+        with self._lock:  # it no longer waits: its physics is not taken
+            self.candidates[i].status = "moving"
         with Clock(self.candidates[i]) as clock:
 
             def step() -> None:
@@ -319,8 +321,7 @@ class _Race:
         if known > self.bound or trial.max_strain > limit():
             return verdict_of(trial, "pruned")
         if trial.physics is None:
-            known_grip = self.closed.get(grip_of(trial))
-            if runner.contestant.is_content and known_grip is not None:
+            if runner.contestant.is_content and (known_grip := self.closed.get(grip_of(trial))):
                 trial.go_on(known_grip)
             elif (ended := self._squeezed(runner)) is not None:
                 return ended

@@ -22,6 +22,10 @@ from retract_env.scene import UNKNOWNS, LineOfSight, Scene
 Array = NDArray[np.float64]
 
 
+PLANNERS_SEED = 20_091_011
+"""Of the draws that planners plan with; what is stated of a plan is stated of others."""
+
+
 def draws(count: int, seed: int) -> Array:
     """(count, UNKNOWNS), uniform and independent."""
     return np.random.default_rng(seed).uniform(-1.0, 1.0, (count, len(UNKNOWNS)))

@@ -66,7 +66,7 @@ def by_rod(
     scene: Scene, grasp: Grasp, path: JawPath, corrected: Correction, z: Array
 ) -> tuple[Array, NDArray[np.object_]]:
     """(n,) the greatest level with which the plan holds on each draw, and what becomes of it, by the rod."""
-    return levels(followed(scene, grasp, path, Flaps(scene, z, grasp.force or math.nan), corrected))
+    return levels(followed(scene, grasp, path, Flaps(scene, z), corrected))
 
 
 def share_by_rod(scene: Scene, grasp: Grasp, path: JawPath, history: History, z: Array) -> float:

@@ -10,7 +10,6 @@ the probability that the plan fails, and what is assumed, is derived in docs/rob
 from __future__ import annotations
 
 import json
-import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -29,7 +28,7 @@ from planners.whatif import Flaps
 from retract_env.errors import MeshError
 from retract_env.grasp import Grasp, JawPath
 from retract_env.rod.follow import CLEAR, STRAIN, TOUCHES
-from retract_env.scenarios import draws, scenario
+from retract_env.scenarios import PLANNERS_SEED, draws, scenario
 from retract_env.scene import UNKNOWNS, Scene, Uncertainty
 from retract_env.threads import cores
 
@@ -71,6 +70,8 @@ class Robust:
                 raise ValueError(f"robust.{name} = {value:g}, allowed (0, 1)")
         if not 10 <= self.samples <= 1_000_000:
             raise ValueError(f"robust.samples = {self.samples}, allowed 10 to 1000000")
+        if self.seed == PLANNERS_SEED:
+            raise ValueError(f"robust.seed = {self.seed}, allowed another: planners draw with it")
 
 
 def upper_bound(failures: int, samples: int, beta: float) -> float:
@@ -111,6 +112,8 @@ class Followed:
     """(n, t) m"""
     touches: Flags
     """(n, t)"""
+    closed: Flags
+    """(n,) whether the jaws close on the flap at all"""
     scene: Scene
 
     def at(self, level: float) -> tuple[NDArray[np.int64], Array, Array, NDArray[np.object_]]:
@@ -122,17 +125,18 @@ class Followed:
         in_view = clear >= scene.limits.clearance
         shown = np.where(in_view.any(-1), in_view.argmax(-1), t)
         until = np.arange(t) <= shown[:, None]
+        lost = np.isnan(self.strain) & until
         with np.errstate(invalid="ignore"):
             strain = np.fmax.reduce(np.where(until, self.strain * (1 + level * STRAIN_UNIT), 0.0), axis=-1)
-            friction = np.fmax.reduce(np.where(until, self.friction + level * FRICTION_UNIT, 0.0), axis=-1)
+            needed = np.where(until, self.friction + level * FRICTION_UNIT, 0.0)
+            friction, needed = np.fmax.reduce(needed, axis=-1), np.where(lost, 0.0, needed).max(-1)
         reason = np.full(n, "ok", object)
         reason[shown == t] = "not_visible"
+        reason[lost.any(-1)] = "diverged"  # unless a limit was broken before
         reason[(self.touches & until).any(-1)] = "contact"
-        reason[friction > self.limit] = "slip"
-        reason[np.isinf(friction)] = "release"
+        reason[needed > self.limit] = "slip"
+        reason[np.isinf(needed) | ~self.closed] = "release"
         reason[strain > scene.limits.strain] = "strain"
-        # no equilibrium before the target was in view
-        reason[(np.isnan(self.strain) & until).any(-1) & (reason == "ok")] = "diverged"
         return shown, strain, friction, reason
 
 
@@ -151,6 +155,7 @@ def followed(scene: Scene, grasp: Grasp, path: JawPath, flaps: Flaps, corrected:
         flaps.friction,
         felt[..., CLEAR],
         felt[..., TOUCHES] > 0,
+        np.ones(len(felt), bool) if force is None else flaps.pressing(force)[:, 0] > 0,
         scene,
     )
 
@@ -206,7 +211,7 @@ def statement(
     if corrected is None:
         level, reason = np.full(len(z), -1.0), np.full(len(z), "diverged", object)
     else:
-        flaps = Flaps(scene, z, grasp.force or math.nan)
+        flaps = Flaps(scene, z)
         level, reason = levels(followed(scene, grasp, path, flaps, corrected))
     missed = np.where(level > 0, exceeded(np.maximum(level, 0.0)), 0.0)
     held = (level > 0) & (missed <= RARE)
@@ -300,7 +305,7 @@ def sensitivities(
     base = _origin(probed)
     steps = PROBE * np.eye(len(UNKNOWNS))
     z = np.concatenate([base + steps, base - steps, base[None]])
-    f = followed(probed, grasp, path, Flaps(probed, z, grasp.force or math.nan), corrected)
+    f = followed(probed, grasp, path, Flaps(probed, z), corrected)
     shown = min(int(f.at(0.0)[0][-1]), f.strain.shape[1] - 1)
     n = len(UNKNOWNS)
     values = np.stack(

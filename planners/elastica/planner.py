@@ -61,6 +61,8 @@ def optimise(
         tried.append((trial.reason != "ok", trial.required_friction, held, path))
         if trial.reason == "ok" and trial.required_friction <= ENOUGH * scene.limits.friction:
             break
+        if all(frame.progress < 1 for frame in trial.frames):  # lost before the jaws were closed
+            break
         correction = jaw_forces(trial.frames) - optimum.forces
     return min(tried, key=lambda t: t[:2])[2:]
 

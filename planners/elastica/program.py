@@ -22,7 +22,8 @@ from scipy.interpolate import CubicSpline
 
 from planners import paths
 from planners.elastica.grip import Grip
-from retract_env.grasp import Grasp, JawPath
+from retract_env.grasp import Grasp, JawPath, to_jaws
+from retract_env.physics.measures import tool_outline
 from retract_env.rod.sections import Elements, elements
 from retract_env.scene import Scene
 
@@ -117,7 +118,8 @@ class Program:
     Lengths are in flap lengths l, forces in `force_unit`.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, in_sight: bool = False) -> None:
+        """in_sight: whether pads and stems have to keep clear of the line of sight, too."""
         self.opti = opti = ca.Opti()
 
         # Given: flap, line of sight, grasp, grip; what finite elements added to the jaws' forces
@@ -127,6 +129,7 @@ class Program:
         self.pressure, self.squeeze = opti.parameter(2), opti.parameter(2)
         self.friction, self.correction = opti.parameter(), opti.parameter(4, POSES)
         self.goal = opti.parameter()
+        self.tool = opti.parameter(2, 16) if in_sight else None
 
         # Variables: compression c, strain b of the rod, and the rod in each pose, with its dynamics
         self.compression, self.strain = c, b = opti.variable(), opti.variable()
@@ -162,6 +165,12 @@ class Program:
         opti.subject_to(ca.vertcat(*(rod.lower[1, 0] for rod in inner)) >= 0)
         for points in (outer[-1].lower, outer[-1].upper[:, 0], inner[-1].lower):
             opti.subject_to(self._clearance(points) >= CLEAR + self.goal)
+        if self.tool is not None:
+            closer = ca.DM([[0.0] * 16, [0.5] * 8 + [-0.5] * 8]) * c * h
+            x, y, theta = ca.vertsplit(inner[-1].state[:3, 0])
+            turn = ca.blockcat([[ca.cos(theta), -ca.sin(theta)], [ca.sin(theta), ca.cos(theta)]])
+            corners = turn @ (self.tool + closer) + ca.repmat(ca.vertcat(x, y), 1, 16)
+            opti.subject_to(self._clearance(corners) >= CLEAR + self.goal)
         opti.subject_to(opti.bounded(GRIPS[0], c, GRIPS[1]))
         opti.subject_to(b >= 1e-3)
 
@@ -188,12 +197,12 @@ def _jaw_forces(load: Any, theta: Any, press: Any, height: Any) -> Any:
 
 
 @cache
-def _program() -> Program:
-    return Program()
+def _program(in_sight: bool) -> Program:
+    return Program(in_sight)
 
 
 _one_at_a_time = threading.Lock()
-"""There is one program, and MUMPS has but one state."""
+"""All scenes share a program, and MUMPS has but one state."""
 
 
 @dataclass(frozen=True)
@@ -225,7 +234,7 @@ def solve(
     length, height, depth = tissue.length, tissue.height, tissue.depth
     unit = force_unit(scene)
     with _one_at_a_time:
-        program = _program()
+        program = _program(scene.jaws.in_sight)
         opti = program.opti
         given = {
             program.height: height / length,
@@ -240,6 +249,9 @@ def solve(
             program.goal: scene.limits.clearance / length,
             program.correction: 0 if correction is None else correction / unit,
         }
+        if program.tool is not None:  # of open jaws about the origin
+            at_rest = to_jaws(np.array([0.0, 0.0, 0.0, height]))
+            given[program.tool] = tool_outline(scene, at_rest).T / length
         ends = ((-length, grasp.x), (grasp.x, 0.0))
         for (step, sections), (left, right) in zip(program.sections, ends, strict=True):
             part = elements(tissue, left, right, ELEMENTS)
@@ -280,8 +292,7 @@ def scaled(part: Elements, length: float, unit: float) -> Array:
 def _start_from_arcs(program: Program, scene: Scene, grasp: Grasp) -> None:
     """Initial guess: CTC up to R_g, the free part straight. Sec. IV-D."""
     opti, length, height, arc = program.opti, scene.tissue.length, scene.tissue.height, -grasp.x
-    radius = paths.goal_radius(scene.line_of_sight.camera, scene.line_of_sight.target)
-    turns = float(paths.arc_turn(1 / radius, arc, height)) * np.arange(1, POSES + 1) / POSES
+    turns = paths.goal_turn(scene, arc) * np.arange(1, POSES + 1) / POSES
     part = np.linspace(1, 0, ELEMENTS + 1)
     for turn, outer, inner in zip(turns, *program.rods, strict=True):
         bent = np.array([paths.ctc_motion(turn * p, arc * p, height) for p in part]).T

@@ -39,14 +39,14 @@ from planners.swift.program import (
 from planners.whatif import Flaps
 from retract_env.grasp import Grasp, JawPath
 from retract_env.mesh import jaw_range
-from retract_env.scenarios import draws
+from retract_env.scenarios import PLANNERS_SEED, draws
 from retract_env.scene import Scene, Uncertainty
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 KIND = "swift"
-SAMPLES, SEED = 1024, 20_091_011
+SAMPLES, SEED = 1024, PLANNERS_SEED
 """Flaps as they may turn out to be on which a plan is to hold, drawn once and for all, with more of the ends
 of each range than the prior has: what holds on all of these fails on few of a far larger sample."""
 HARD = 96
@@ -153,7 +153,7 @@ class Search:
         tissue = self.scene.tissue
         u = np.empty(COUNT)
         u[PLACE] = at
-        u[TURN] = float(paths.arc_turn(1 / self._radius(), -at * tissue.length, tissue.height))
+        u[TURN] = paths.goal_turn(self.scene, -at * tissue.length)
         u[STRETCH], u[PART] = eased.STRETCH * np.array([1, 2, 3]) / 3, eased.TURN
         u[GRIP] = compression
         u[BEYOND] = 1.0, 0.0

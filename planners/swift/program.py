@@ -205,10 +205,12 @@ class Program:
         return float(s.strain[0, : END + 1].max())
 
     def merit(self, unknowns: Array, s: Standing) -> float:
-        """What the search makes less: strain, penalties for broken limits and for uneven moves."""
+        """What the search makes less: strain, penalties for broken limits and for uneven moves; inf where a
+        flap was lost."""
         rough = float(np.abs(self.rough @ (unknowns / UNITS) - EVEN).sum())
         worst = max(0.0, float(self.excess(s).max()))
-        return self.strain(s) / UNIT + PENALTY * worst + SMOOTH * rough
+        merit = self.strain(s) / UNIT + PENALTY * worst + SMOOTH * rough
+        return merit if np.isfinite(merit) else np.inf
 
     def solve(self, unknowns: Array, steps: int, radius: float = RADIUS) -> Array:
         """Improve unknowns (COUNT,), step by step, until no step promises to gain more."""
@@ -260,8 +262,8 @@ class Program:
         def add(gradient: Array, slack: Array, column: int) -> None:
             """gradient @ step - (greatest strain or violation) <= slack, but for what no step can reach"""
             reach = radius * np.abs(gradient).sum(-1)
-            least = float((-slack - reach).max()) if column == COUNT else 0.0
-            matters = reach - slack > least
+            least = float(np.fmax.reduce(-slack - reach)) if column == COUNT else 0.0
+            matters = reach - slack > least  # not so where a lane beside was lost: no slope is known
             gradient, slack = gradient[matters], slack[matters]
             block = np.zeros((len(slack), COUNT + 2 + lines))
             block[:, :COUNT], block[:, column] = gradient, -1.0

@@ -139,14 +139,14 @@ class Pardiso:
         self._unit = self._fitting(values)
         values = np.ascontiguousarray(values if self._unit == 1 else values / self._unit, self._kind)
         error = self._call(_FACTORISE if self._analysed else _ANALYSE, values)
-        if error == _NOT_POSITIVE:
-            raise NotPositiveDefinite
-        if error:
+        if error not in (0, _NOT_POSITIVE):
             raise RuntimeError(f"PARDISO stopped with error {error}")
         if not self._analysed:
             self._analysed = True
             # not at exit: the library may be gone by then, and the memory goes anyway
             weakref.finalize(self, self._call, _RELEASE).atexit = False
+        if error:
+            raise NotPositiveDefinite
         self._values = values
 
     def solve(self, b: Array) -> Array:

@@ -11,7 +11,7 @@ from retract_env.fem import descent
 from retract_env.fem.assembly import Assembly
 from retract_env.fem.contact import Contact
 from retract_env.fem.descent import Turn
-from retract_env.fem.prism import Prism
+from retract_env.fem.prism import Prism, unknowns
 from retract_env.mesh import RESOLUTIONS, Resolution, SectionMesh
 from retract_env.scene import Scene
 
@@ -43,12 +43,13 @@ class FlapModel:
         """
         tissue = scene.tissue
         self.scene, self.section, self.jaw_x = scene, section, jaw_x
-        self.prism = prism = Prism(section, scene, triangle_points, resolution.layers)
-        if prism.size > MOST_UNKNOWNS:
+        size = unknowns(section, scene, resolution.layers)  # before they take memory
+        if size > MOST_UNKNOWNS:
             raise FlapRefused(
-                f"tissue: {prism.size} unknowns at {resolution.name!r}, allowed {MOST_UNKNOWNS}; "
+                f"tissue: {size} unknowns at {resolution.name!r}, allowed {MOST_UNKNOWNS}; "
                 "the flap is too long or too deep for its height"
             )
+        self.prism = prism = Prism(section, scene, triangle_points, resolution.layers)
         every = np.arange(prism.levels)
         held = np.flatnonzero(prism.z <= (scene.jaws.depth or tissue.depth) / 2 * (1 + 1e-9))
         self.fixed = np.concatenate(
@@ -70,10 +71,9 @@ class FlapModel:
         self._weight[prism.y(nodes, every)] = -tissue.density * scene.gravity * share.ravel()
         self.load = self._weight
 
-        on_bed = ~np.isin(section.bottom, section.patches[0])
-        self._bed = prism.y(section.bottom[on_bed], every) if scene.bed else np.empty(0, np.int32)
+        self._bed = prism.y(section.bottom, every) if scene.bed else np.empty(0, np.int32)
         self._bed_modulus = resolution.bed * tissue.modulus / tissue.height
-        share = prism.depth_weight[:, None] * section.bottom_length[on_bed]
+        share = prism.depth_weight[:, None] * section.bottom_length
         self._bed_stiffness = self._bed_modulus * share.ravel()[: len(self._bed)]
         number = np.full(prism.size, -1)
         number[self.free] = np.arange(len(self.free))

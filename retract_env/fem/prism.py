@@ -45,6 +45,13 @@ def depth_breaks(depth: float, height: float, jaw_depth: float | None, per_heigh
     return np.concatenate([[0.0], *parts])
 
 
+def unknowns(section: SectionMesh, scene: Scene, per_height: float = 0.8) -> int:
+    """How many a `Prism` has."""
+    tissue = scene.tissue
+    levels = 2 * len(depth_breaks(tissue.depth, tissue.height, scene.jaws.depth, per_height)) - 2
+    return (3 * levels - 1) * len(section.points)
+
+
 class Prism:
     """Unknowns and elements of the extruded section, for the half depth z >= 0.
 

@@ -102,10 +102,17 @@ class Equilibrium:
         self._straight = self._turn = model.turned(nowhere, nowhere)  # since the factorisation was made
         self._weights, self._q = np.empty(MEMORY), np.empty(f)
         self.counts: Counter[str] = Counter()
+        self.last_work = math.inf
+        """`work` after which no solution is sought any further"""
         tissue = model.scene.tissue
         half_volume = tissue.length * tissue.height * tissue.depth / 2
         self._tolerance = STRAIN_TOLERANCE**2 * tissue.modulus * WORST_FRACTION * half_volume
         self._diagonal = model.assembly.indptr[:-1]
+
+    @property
+    def work(self) -> int:
+        """Iterations so far, and factorisations that some of them needed besides the one."""
+        return self.counts["iterations"] + self.counts["shifts"]
 
     def forget(self) -> None:
         """Let the next solution begin with a factorisation of its own: it then depends on nothing that was
@@ -179,6 +186,8 @@ class Equilibrium:
             norm = descent.norm(force, free)
         self._ready(u)
         for _ in range(self.max_iterations):
+            if self.work > self.last_work:
+                raise Diverged("no equilibrium in the iterations that a move may take")
             self.counts["iterations"] += 1
             step, slope = self._descent(force)
             length = 1.0

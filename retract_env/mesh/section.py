@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from retract_env.errors import MeshError
+from retract_env.errors import FlapRefused, MeshError
 from retract_env.mesh.jaws import SLIVER, patch_ends
 from retract_env.mesh.resolutions import Resolution
 from retract_env.scene import Scene, Vein
@@ -68,6 +68,9 @@ def quadratic_shares(places: Array) -> Array:
     return np.concatenate([places * (2 * places - 1), 4 * places * np.roll(places, -1, axis=1)], axis=1)
 
 
+MOST_SLENDER = 5000
+"""Length over height at which a flap with elements as large as it is high has more unknowns than finite
+elements take, and netgen more triangles than it makes in seconds."""
 _netgen = threading.Lock()  # netgen keeps global state
 
 
@@ -77,12 +80,16 @@ def section_mesh(
     """Mesh the section so that veins and, where a grasp is given, both jaw patches end on element edges.
 
     jaw_x: m, middle of the patches, or None for no jaws; smeared: indices of veins that need not be followed.
-    Raises MeshError, and ValueError as `patch_ends`.
+    Raises MeshError, its kind FlapRefused for a flap of too many elements, and ValueError as `patch_ends`.
     """
     from netgen.geom2d import SplineGeometry
 
     tissue = scene.tissue
     length, height, width = tissue.length, tissue.height, scene.jaws.width
+    if (slender := length / height) > (most := MOST_SLENDER * resolution.bulk):
+        raise FlapRefused(
+            f"tissue: {slender:.4g} times as long as high, allowed {most:g} at {resolution.name!r}"
+        )
     bulk = resolution.bulk * height
     ends = None if jaw_x is None else patch_ends(scene, jaw_x)
     geometry = SplineGeometry()  # its tolerances are absolute, so it works in units of the height

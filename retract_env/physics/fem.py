@@ -36,9 +36,10 @@ push, the flap snaps over; no step is then small enough, and where it snaps to t
 FIRST_PART = 0.3
 """Part of a step that is tried first after a corner of the path."""
 MOST_ITERATIONS, MOST_WORK = 400, 4_000_000
-"""Newton iterations in one move, and those times the unknowns, so that a move takes seconds at most: at
-`coarse` the first ends it, on meshes of more than 10,000 unknowns the second. Moves on random flaps take 5 to
-20 iterations; the hardest one seen, cut to 1/64 again and again, 206."""
+"""Newton iterations in one move, a shifted factorisation counted as one, and those times the unknowns, so
+that a move takes seconds on usual flaps: at `coarse` the first ends it, on meshes of more than 10,000
+unknowns the second. Moves on random flaps take 5 to 20 iterations; the hardest one seen, cut to 1/64 again
+and again, 206."""
 LEAST_ITERATIONS = 40
 """Whatever the unknowns."""
 MEMORY = 4
@@ -155,8 +156,8 @@ class FemPhysics:
         force. Raises Diverged, also where it takes more than `MOST_ITERATIONS` or `MOST_WORK`.
         """
         pose = self._with_separation(pose, self._pose[3])
-        counts, allowed = self.equilibrium.counts, self._most_iterations()
-        last = counts["iterations"] + allowed
+        equilibrium, allowed = self.equilibrium, self._most_iterations()
+        equilibrium.last_work = equilibrium.work + allowed
         start_pose, begin, target = self._pose, self._progress, progress
         before, after = self._levels(progress)
         # With one equilibrium to look back on, the tangent predicts: small steps first, until two or more of
@@ -166,7 +167,7 @@ class FemPhysics:
         start = time.perf_counter()
         try:
             while done < 1.0:
-                if counts["iterations"] > last:
+                if equilibrium.work > equilibrium.last_work:
                     raise Diverged(f"a move took more than {allowed} iterations")
                 share = min(done + part, 1.0)
                 at = None if target is None else begin + share * (target - begin)
@@ -176,20 +177,20 @@ class FemPhysics:
                 except Diverged:
                     part /= 2
                     self._history.clear()
-                    if part < SMALLEST_CUT or counts["iterations"] > last:
+                    if part < SMALLEST_CUT or equilibrium.work > equilibrium.last_work:
                         if patient:
                             raise
                         patient, part = True, max(part, SMALLEST_CUT)
-                        self.equilibrium.max_iterations = PATIENCE
-                        last += PATIENCE
+                        equilibrium.max_iterations = PATIENCE
+                        equilibrium.last_work += PATIENCE
                 else:
                     done = share
-                    self.equilibrium.max_iterations = SOLVER_ITERATIONS
+                    equilibrium.max_iterations = SOLVER_ITERATIONS
                     if done < 1.0 and self._stop_when is not None and self._stop_when(self.state()):
                         return self.state()
                     part *= 3
         finally:
-            self.equilibrium.max_iterations = SOLVER_ITERATIONS
+            equilibrium.max_iterations, equilibrium.last_work = SOLVER_ITERATIONS, math.inf
             self.seconds["equilibrium"] += time.perf_counter() - start
         self._pose = self._with_separation(pose, self._pose[3])
         return self.state()

@@ -47,7 +47,8 @@ class Retractions(NamedTuple):
     poses: Array
     """(n, t, 4) x, y, m, theta, compression over the height: the jaws closed, then the motion"""
     force: Array
-    """(n,) N, with which the jaws press, whatever their compression; 0: they close by the compression"""
+    """(n,) N, with which the jaws press, whatever their compression; 0: they close by the compression; below:
+    they do not hold the flap, which is lost"""
     goal: Array
     """(n,) m, the clearance with which a retraction is over; inf: it goes on to its last pose"""
 
@@ -101,6 +102,9 @@ def _follow(blocks, given, laws, held, felt, count, lost, first, last):
         moving[:] = False
         for lane in range(many):
             i = begin + lane
+            if given.force[i] < 0.0:
+                lost[i] = True
+                continue
             block.flap[lane], block.sight[lane] = given.flap[i], given.sight[i]
             for v in range(given.vertices.shape[0]):
                 vertices[lane, v, 0] = given.vertices[v, 0]

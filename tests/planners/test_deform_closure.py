@@ -126,6 +126,12 @@ def test_the_free_end_is_a_maximum_where_stiffness_grows_towards_it() -> None:
     assert k_n[0] == k[0]
 
 
+def test_jaws_do_not_meet_however_little_they_strain() -> None:
+    scene = a_scene()
+    found = Closure(np.linspace(-0.04, -0.01, 12), np.full(12, 1e7), np.full(12, 1e-3), 100)
+    assert all(grasp.compression < scene.tissue.height for grasp in closure_grasps(scene, found))
+
+
 def test_without_veins_grasps_stand_evenly() -> None:
     grasps = closure_grasps(a_scene(), brute_force(a_scene(), 160, 2500))
     x = np.sort([grasp.x for grasp in grasps])

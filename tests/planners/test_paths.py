@@ -24,6 +24,7 @@ from planners.paths import (
     ctc,
     ctc_motion,
     goal_radius,
+    goal_turn,
     linear,
     linear_motion,
 )
@@ -378,3 +379,14 @@ def test_steps_of_the_three_kinds_are_of_like_length() -> None:
             scene, grasp = a_scene(nearness), a_grasp(x)
             lengths = [step(ctc(scene, grasp)), step(circular(scene, grasp)), step(linear(scene, grasp, 1.0))]
             assert max(lengths) <= 2 * min(lengths)
+
+
+@pytest.mark.parametrize(
+    ("height", "target", "slope"), [(0.0044, -0.0125, 45), (0.02, -0.005, 60), (0.0044, -0.002, 90)]
+)
+def test_the_goal_is_a_turn_that_ctc_makes(height: float, target: float, slope: float) -> None:
+    """Also where the line is nearer than half the thickness, which no arc clears."""
+    tissue = Tissue(length=LENGTH, height=height, depth=0.005, modulus=40e3, poisson=0.4, density=1000.0)
+    scene = Scene(name="near", tissue=tissue, line_of_sight=LineOfSight.at(target, math.radians(slope)))
+    turns = -ctc(scene, Grasp(-0.03, height / 5)).poses[2:, 2]
+    assert np.abs(turns - goal_turn(scene, 0.03)).min() < 1e-9

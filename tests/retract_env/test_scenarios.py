@@ -113,9 +113,9 @@ def test_the_rods_arrays_are_those_of_the_drawn_scenes(
 ) -> None:
     z = draws(5, 11)
     grasp = Grasp(X, force=0.03) if by_force else plan[0]
-    force = grasp.force or math.nan
-    flaps = Flaps(scene, z, force)
-    followed = flaps.follow([X], plan[1].poses[1:][None], force=[force] if by_force else None)
+    force = grasp.force
+    flaps = Flaps(scene, z)
+    followed = flaps.follow([X], plan[1].poses[1:][None], force=None if force is None else [force])
     for i in range(5):
         there = scenario(scene, grasp, plan[1], z[i])
         assert there is not None

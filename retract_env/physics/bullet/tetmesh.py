@@ -7,6 +7,7 @@ surface.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -114,6 +115,8 @@ def tet_mesh(scene: Scene, jaw_x: float, along: float, across: int, deep: int) -
     zs = _lines([-half, -edge, edge, half], tissue.depth / layers)
 
     counts = (len(xs), len(ys), len(zs))
+    if (listed := 5 * math.prod(n - 1 for n in counts)) > MOST_TETRAHEDRA:  # before they take memory
+        raise _too_many(listed)
     points = np.stack(np.meshgrid(xs, ys, zs, indexing="ij"), axis=-1).reshape(-1, 3)
     number = np.arange(len(points), dtype=np.int32).reshape(counts)
     cubes = np.stack(np.meshgrid(*(np.arange(n - 1) for n in counts), indexing="ij"), axis=-1).reshape(-1, 3)
@@ -143,12 +146,16 @@ def tet_mesh(scene: Scene, jaw_x: float, along: float, across: int, deep: int) -
     section, section_nodes = _section(xs, ys, flat, triangles, most.astype(np.int32), (low, high))
     copies = np.array([1, *(v.copies for v in veins)], np.int32)[vein + 1]
     if (listed := int(copies.sum())) > MOST_TETRAHEDRA:
-        raise FlapRefused(
-            f"tissue: {listed} tetrahedra, stiff veins counted several times, allowed in Bullet up to "
-            f"{MOST_TETRAHEDRA}; a coarser resolution has fewer"
-        )
+        raise _too_many(listed)
     return TetMesh(
         points, cells, copies, number[-1].ravel(), (lower, upper), section, section_nodes, share, veins
+    )
+
+
+def _too_many(listed: int) -> FlapRefused:
+    return FlapRefused(
+        f"tissue: {listed} tetrahedra, stiff veins counted several times, allowed in Bullet up to "
+        f"{MOST_TETRAHEDRA}; a coarser resolution has fewer"
     )
 
 

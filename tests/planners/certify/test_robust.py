@@ -9,6 +9,7 @@ import pytest
 from scipy.stats import binom
 
 from planners.certify import Certificate, Robust, certify, robust, stated
+from planners.correction import Correction
 from planners.paths import ctc
 from planners.whatif import Flaps
 from retract_env.grasp import Grasp, JawPath
@@ -104,6 +105,29 @@ def test_what_holds_by_a_margin_holds_by_every_smaller_one(
     assert (shown_ >= shown).all()
     assert (strain_ > strain).all()
     assert (friction_ > friction).all()
+
+
+def test_a_light_force_that_may_be_none_lets_go(scene: Scene) -> None:
+    """On just those draws of which there is no plan, as the jaws do not press."""
+    grasp = Grasp(-0.035, force=5e-4)
+    path, z = ctc(scene, Grasp(-0.035, 2e-4)), draws(60, 3)
+    f = robust.followed(scene, grasp, path, Flaps(scene, z), Correction.none(path.last))
+    none = np.array([scenario(scene, grasp, path, one) is None for one in z])
+    assert 5 < none.sum() < 55
+    assert np.array_equal(f.closed, ~none)
+    level, reason = robust.levels(f)
+    assert (level[none] == -2).all()
+    assert (reason[none] == "release").all()
+
+
+def test_a_draw_that_is_lost_is_told_as_such_unless_a_limit_was_broken_before(scene: Scene) -> None:
+    lost = np.nan
+    strain = np.array([[0.1, lost], [0.1, lost], [0.9, lost], [0.1, 0.1]])
+    friction = np.array([[0.1, np.inf], [0.9, np.inf], [0.1, np.inf], [0.1, np.inf]])
+    clearance = np.where(np.isnan(strain), lost, -1e-3)
+    flags, limit = np.zeros((4, 2), bool), np.full(4, 0.5)
+    f = robust.Followed(strain, friction, limit, clearance, flags, np.ones(4, bool), scene)
+    assert f.at(0.0)[3].tolist() == ["diverged", "slip", "strain", "release"]
 
 
 def test_a_score_is_the_least_margin_that_covers(

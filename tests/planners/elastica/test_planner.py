@@ -62,6 +62,15 @@ def test_jaws_that_slip_close_further(monkeypatch: pytest.MonkeyPatch) -> None:
     assert path.poses[1:, 3] == pytest.approx(HEIGHT - held.compression)
 
 
+def test_a_grip_that_the_coarse_mesh_does_not_close_is_left_to_the_judge(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    tried = []
+    monkeypatch.setattr(adaptation, "retract", lambda trial, _: tried.append(trial))
+    assert optimum(a_scene(friction=0.5), a_grasp(-0.7 * LENGTH)).certificate.certified
+    assert len(tried) == 1
+
+
 def test_the_solver_s_failure_is_the_candidate_s_reason(monkeypatch: pytest.MonkeyPatch) -> None:
     def fails(*_: object) -> None:
         raise adaptation.Unsolved("infeasible problem detected")

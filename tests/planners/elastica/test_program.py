@@ -12,8 +12,10 @@ from scipy.integrate import solve_bvp
 from baselines.verification.flaps import HEIGHT, LENGTH, flap
 from planners.elastica.grip import Grip
 from planners.paths import arc_turn, ctc_motion, goal_radius
-from retract_env.grasp import Grasp
+from retract_env.grasp import Grasp, to_jaws
+from retract_env.objectives import clearance
 from retract_env.physics.fem import FemPhysics
+from retract_env.physics.measures import tool_outline
 from retract_env.rod.sections import elements
 from retract_env.scene import Limits, LineOfSight, Scene, Tissue
 
@@ -165,6 +167,19 @@ def test_without_weight_and_grip_strain_the_optimum_is_the_arc_that_touches_the_
     arc = ctc_motion(arc_turn(1 / radius, -x, HEIGHT), -x, HEIGHT)
     assert best.poses[-1] == pytest.approx(arc, abs=5e-3)
     assert best.poses[-1, :2] == pytest.approx(arc[:2], abs=2e-3 * LENGTH)
+
+
+def test_jaws_that_are_in_sight_keep_clear_of_the_line_too() -> None:
+    hidden = flap()
+    seen = hidden.model_copy(update={"jaws": hidden.jaws.model_copy(update={"in_sight": True})})
+    line, lowest = hidden.line_of_sight, []
+    for scene in (hidden, seen):
+        best = elastica.solve(scene, Grasp(-0.6 * LENGTH, 1e-3), GRIP)
+        closed = np.append(best.poses[-1], HEIGHT - best.compression)
+        corners = tool_outline(scene, to_jaws(closed))
+        lowest.append(min(clearance(corner, line.camera, line.target) for corner in corners))
+    assert lowest[0] < 0 < lowest[1]
+    assert lowest[1] >= 0.99 * elastica.CLEAR * LENGTH
 
 
 def test_twice_the_size_at_twice_the_modulus_is_the_same_problem() -> None:

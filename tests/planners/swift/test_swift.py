@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -11,6 +13,7 @@ from planners.fem_gradient import planner as fem_gradient
 from planners.swift import program
 from planners.swift.planner import TOLERATED, Search, plan_swift
 from planners.whatif import Flaps
+from retract_env.scenarios import draws, values
 from retract_env.scene import Limits, LineOfSight, Scene, Uncertainty, load_scene
 
 
@@ -73,6 +76,23 @@ def test_a_small_step_gains_what_the_linear_program_promises(
         errors.append(abs(found - promised))
         assert abs(found - promised) < 0.1 * (now - promised)
     assert errors[1] < 0.5 * errors[0]
+
+
+def test_what_loses_the_flap_is_worse_than_anything(scene: Scene, unknowns: np.ndarray) -> None:
+    one = program.Program(scene, Flaps(scene), 0.03, 2e-3, Correction.none(len(program.TIMES)))
+    sound = one.standing(unknowns[None])[0]
+    strain = np.where(np.arange(len(program.TIMES)) < 5, sound.strain, np.nan)
+    lost = replace(sound, strain=strain, sound=np.array([False]))
+    assert one.merit(unknowns, sound) < one.merit(unknowns, lost) == np.inf
+
+
+def test_grips_by_force_are_planned_on_the_prior_that_they_are_judged_on(scene: Scene) -> None:
+    """The less the force, the larger the part of it that is not known."""
+    z, force = draws(20, 5), [0.002, 0.006, 0.05]
+    pressed = Flaps(scene, z).pressing(force)
+    for told, found in zip(force, pressed.T, strict=True):
+        assert np.array_equal(found, values(scene, z, told).force * told)
+    assert np.ptp(pressed[:, 0] / 0.002) > 2 * np.ptp(pressed[:, 1] / 0.006)
 
 
 def test_a_plan_holds_on_the_whole_sample(search: Search) -> None:

@@ -94,6 +94,20 @@ def test_a_rough_factorisation_is_right_to_five_digits() -> None:
         factor.factorize(-upper.data)
 
 
+def test_a_first_matrix_that_is_indefinite_costs_nothing_but_time() -> None:
+    rng = np.random.default_rng(1)
+    full = np.triu(rng.normal(size=(30, 30)))
+    upper = csr_matrix(np.triu(full + full.T + 60 * np.eye(30)))
+    late, fresh = (cholesky(upper.indptr, upper.indices) for _ in range(2))
+    for _ in range(2):
+        with pytest.raises(NotPositiveDefinite):
+            late.factorize(-upper.data)
+    b = rng.normal(size=30)
+    for factor in (late, fresh):
+        factor.factorize(upper.data)
+    assert np.array_equal(late.solve(b), fresh.solve(b))
+
+
 @pytest.mark.parametrize("scale", [1e-20, 1e36, 1e306])
 @pytest.mark.parametrize("load", [1.0, 1e39, 1e150])
 def test_values_that_single_precision_does_not_know_are_solved_as_well(scale: float, load: float) -> None:

@@ -52,6 +52,15 @@ def posed(model: FlapModel, pose: Array, steps: int = 4) -> tuple[Array, Array]:
     return u, force
 
 
+def test_all_of_the_lower_side_that_is_not_held_lies_on_the_bed(model: FlapModel) -> None:
+    """Beneath jaws that are narrower than the flap is deep, too."""
+    below = model.prism.y(model.section.bottom, np.arange(model.prism.levels))
+    free = np.intersect1d(below, model.free)
+    lowered = model.at_rest()
+    lowered[below] = -1e-4
+    assert np.array_equal(free[model.on_bed(lowered)], free) if model.scene.bed else not len(model._bed)
+
+
 def from_tangent(model: FlapModel, u: Array, moved: Array) -> Array:
     first = u + Equilibrium(model).step(u, moved - u)
     first[model.driven] = moved[model.driven]
