@@ -172,8 +172,8 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
     - `scene` (`None`): path of a scene's YAML file, a scene as plain data (`Scene.dump()`), `"random"` for a
       new one from the seed at each reset, or None for the paper's flap without veins.
     - `grasp` (`"agent"`): `"agent"` lets the first action choose; `"spring"` takes the best grasp of the
-      spring model at reset; `{"x": m, "compression": m}` takes this one, `{"x": m, "force": N}` one that
-      presses so.
+      spring model at reset that can be squeezed, of the first five; `{"x": m, "compression": m}` takes this
+      one, `{"x": m, "force": N}` one that presses so.
     - `grip` (`None`): `"force"` or `"compression"`, what the second number of the first action is; a spring
       model's grasp then presses as hard as closing so far is expected to. None is the task's own,
       `"compression"`.
@@ -374,10 +374,7 @@ class TissueRetractEnv(gym.Env[NDArray[Any], NDArray[Any]]):
         ):
             if theirs != ours:
                 raise ValueError(f"the state is of an environment with {name} = {theirs!r}, here {ours!r}")
-        if state.task != self.task_config:
-            asked, here = state.task.model_dump(), self.task_config.model_dump()
-            names = ", ".join(name for name in here if asked[name] != here[name])
-            raise ValueError(f"the state is of an environment whose task differs in {names}")
+        self._settings.check_same_task(state.task)
         self._begin(state.episode.stated, state.episode.z).set_state(state.episode)
         self._over = state.over
         self._np_random, self._np_random_seed = copy.deepcopy(state.random), state.seed

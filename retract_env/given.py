@@ -8,7 +8,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from retract_env.config import Frozen
+from retract_env.config import Frozen, brief
 from retract_env.grasp import Grasp
 from retract_env.scene import UNKNOWNS, Scene, Uncertainty, load_scene
 from retract_env.scene.sampling import SceneRanges
@@ -31,6 +31,13 @@ class Settings(Frozen):
         """What counts instead of what scenes say of their uncertainty; None where all is as they say."""
         named = self.unknowns
         return None if named is None else {name: getattr(named, name) for name in named.model_fields_set}
+
+    def check_same_task(self, task: TaskConfig) -> None:
+        """Raise ValueError, with the fields that differ, for the task of a state from another environment."""
+        if task != self.task:
+            theirs, ours = task.model_dump(), self.task.model_dump()
+            names = ", ".join(name for name in ours if theirs[name] != ours[name])
+            raise ValueError(f"the state is of an environment whose task differs in {names}")
 
     def prior(self, scene: Scene) -> Scene:
         """The scene with the uncertainty that counts."""
@@ -137,7 +144,10 @@ def read_mask(mask: Any, count: int) -> NDArray[np.bool_]:
         return np.ones(count, np.bool_)
     found: NDArray[np.bool_] = np.asarray(mask)
     if found.shape != (count,) or found.dtype != np.bool_ or not found.any():
-        raise ValueError(f"options['reset_mask'] allowed ({count},) bool, at least one of them True")
+        said = " ".join(brief(mask).split())
+        raise ValueError(
+            f"options['reset_mask'] = {said}, allowed ({count},) bool, at least one of them True"
+        )
     return found
 
 
@@ -145,16 +155,22 @@ def read_seeds(seed: int | Sequence[int | None] | None, count: int) -> list[int 
     """A seed, or None, for each of so many environments. Raises ValueError."""
     if seed is None:
         return [None] * count
-    each: list[int | None] = []
     if isinstance(seed, int | np.integer):
-        each += [int(seed) + k for k in range(count)]
+        each: list[Any] = [int(seed) + k for k in range(count)]
     elif isinstance(seed, Iterable):
-        each += seed
+        each = list(seed)
     else:
         raise ValueError(f"seed = {seed!r}, allowed a whole number, or one or None for each environment")
     if len(each) != count:
         raise ValueError(f"seed has {len(each)} numbers, allowed {count}")
-    return each
+    return [None if one is None else _read_seed(one, k) for k, one in enumerate(each)]
+
+
+def _read_seed(seed: Any, k: int) -> int:
+    if not isinstance(seed, int | np.integer) or seed < 0:
+        said = " ".join(brief(seed).split())
+        raise ValueError(f"seed of environment {k} = {said}, allowed None or a whole number from 0 on")
+    return int(seed)
 
 
 def read_actions(given: ArrayLike, count: int) -> Array:

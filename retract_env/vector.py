@@ -84,6 +84,8 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
 
     Those of the single environment, but for pixels and rendering, and:
 
+    - `grasp`: `"spring"` takes the spring model's best grasp alone, and fails where it cannot be squeezed,
+      where the single environment tries the next ones.
     - `num_envs`: how many.
     - `autoreset_mode` (`"NextStep"`): `gymnasium.vector.AutoresetMode`, or its value. With `"SameStep"` the
       last observation and info of an episode are in `infos["final_obs"]` and `infos["final_info"]`. With
@@ -326,8 +328,7 @@ class TissueRetractVectorEnv(gym.vector.VectorEnv[NDArray[Any], NDArray[Any], ND
             raise TypeError(f"state is a {type(state).__name__}, allowed a VectorState")
         if len(state.sources) != self.num_envs:
             raise ValueError(f"state of {len(state.sources)} environments, allowed {self.num_envs}")
-        if state.task != self.task_config:
-            raise ValueError("state: of another task")
+        self._settings.check_same_task(state.task)
         if state.unknowns != self._settings.set_here:
             raise ValueError("state: of environments with other unknowns")
         self._flaps.set_state(state.arrays)

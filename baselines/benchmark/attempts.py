@@ -11,7 +11,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import gymnasium as gym
@@ -80,7 +80,7 @@ class _Timed:
 
     policy: Decide
     seconds: float = 0.0
-    calls: int = field(default=0)
+    calls: int = 0
 
     def __call__(self, observation: NDArray[Any]) -> NDArray[Any]:
         start = time.process_time()

@@ -39,6 +39,8 @@ FAILED = {
     "returned": "#8c6d31",
     "died": "#22282e",
 }
+ENTRY = 0.2
+"""inches of a legend's height that a curve's name takes"""
 LINES = ("#0072b2", "#d55e00", "#00805f", "#cc79a7", "#e69f00", "#56b4e9", "#22282e", "#999999")
 """Okabe and Ito's colours, but the yellow, which is too pale for a line."""
 DASHES = ("-", "--", ":")
@@ -86,7 +88,7 @@ def profile_chart(scores: Mapping[str, Array]) -> bytes:
         excess = np.linspace(1, 4, 601)
         for k, name in enumerate(shown):
             shares = (scores[name].ravel()[:, None] >= 1 / excess - 1e-12).mean(axis=0)
-            axes.plot(excess, shares, color=LINES[k % len(LINES)], ls=DASHES[k // len(LINES)], label=name)
+            axes.plot(excess, shares, label=name, **_style(k))
         axes.set_xlim(1, 4)
         axes.set_ylim(0, 1.02)
         axes.yaxis.set_major_formatter(PercentFormatter(1))
@@ -103,7 +105,7 @@ def profile_chart(scores: Mapping[str, Array]) -> bytes:
         )
         if names
     ]
-    return _png(draw, 3.6 + 0.2 * len(said), note="\n".join(said))
+    return _png(draw, max(3.6, ENTRY * len(shown)) + 0.2 * len(said), note="\n".join(said))
 
 
 def compared(scores: Mapping[str, Array]) -> tuple[list[str], list[str], list[str]]:
@@ -133,7 +135,7 @@ def curve_chart(curves: Mapping[str, Sequence[Sequence[Mapping[str, Any]]]]) -> 
                         for steps, run in zip(parts, runs, strict=True)
                     ]
                 )
-                style: dict[str, Any] = {"color": LINES[k % len(LINES)], "ls": DASHES[k // len(LINES)]}
+                style = _style(k)
                 seeds = f" ({len(runs)} seeds)" if len(runs) > 1 else ""
                 axes.plot(
                     at,
@@ -154,7 +156,12 @@ def curve_chart(curves: Mapping[str, Sequence[Sequence[Mapping[str, Any]]]]) -> 
         panels[0].yaxis.set_major_formatter(PercentFormatter(1))
         panels[-1].legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
 
-    return _png(draw, 3.2, panels=len(wanted))
+    return _png(draw, max(3.2, ENTRY * len(curves)), panels=len(wanted))
+
+
+def _style(k: int) -> dict[str, Any]:
+    """Of the k-th curve; they repeat when all colours have been drawn with all dashes."""
+    return {"color": LINES[k % len(LINES)], "ls": DASHES[k // len(LINES) % len(DASHES)]}
 
 
 def _column(curve: Sequence[Mapping[str, Any]], name: str) -> list[float]:

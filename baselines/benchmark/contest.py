@@ -19,10 +19,11 @@ from baselines.benchmark.external import check_importable, found_at
 from baselines.benchmark.methods import Method, method_of
 from baselines.benchmark.splits import BenchmarkError
 from baselines.benchmark.survival import made_firm, survived
-from baselines.jobs.apart import STARTING, Answer, Apart
+from baselines.jobs.apart import STARTING, Answer, Apart, in_one_line
 from baselines.jobs.journal import Row, WorkItem
 from baselines.jobs.version import code_version
 from planners.certify import Certificate, certify
+from retract_env.errors import Diverged, MeshError
 from retract_env.grasp import Grasp, JawPath
 from retract_env.scenarios import draws
 from retract_env.scene import Scene
@@ -54,8 +55,19 @@ def _where(method: Method) -> Iterator[Ask]:
     elif method.kind == "external":
         with Apart(silent=True, may_fork=True) as own:
             yield own.call
-    else:  # an episode has an end, and a network's numbers run nothing
-        yield lambda work, task, _: Answer(work(task))
+    else:
+        yield _here
+
+
+def _here(work: Callable[[Any], Any], task: Any, _: float) -> Answer:
+    """In this process, without a limit: an episode has an end, and a network's numbers run nothing.
+
+    A flap that the physics cannot take costs its own row alone.
+    """
+    try:
+        return Answer(work(task))
+    except (MeshError, Diverged) as error:
+        return Answer(trouble="raised", detail=in_one_line(error))
 
 
 def compete(task: WorkItem) -> Row:

@@ -2,7 +2,7 @@
 
 It returns what it would do, (Grasp, JawPath) or a Plan; or, where it is to act step by step, something to
 call with an observation, which answers with an action. Nothing of it is run in this process: where it lies
-is found out from files, and `handed_in` runs in a process of its own.
+is found out from files, and `called` runs in a process of its own.
 """
 
 from __future__ import annotations

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections import ChainMap
 from collections.abc import Callable, MutableMapping
 from dataclasses import asdict, dataclass
@@ -13,11 +12,13 @@ from typing import Any
 import numpy as np
 
 from baselines.benchmark.external import found_at
+from baselines.benchmark.splits import BenchmarkError
 from baselines.jobs.journal import PLACE, WorkItem
-from baselines.learning.policies import JSON, TENSORS, load_policy, policy_folder
+from baselines.learning.policies import content_of, load_policy, policy_folder
 from planners import PLANNERS
 from planners.base import Plan
 from planners.swift.planner import plan_swift
+from retract_env.config import brief
 from retract_env.rollout import Decide
 
 COMPETING: MutableMapping[str, Callable[..., Plan]] = ChainMap(
@@ -59,12 +60,18 @@ class Method:
 
     @classmethod
     def trained(cls, folder: Path) -> Method:
-        """The policy in a folder, or a shipped one by its name. Raises PolicyError."""
+        """The policy in a folder, or a shipped one by its name.
+
+        Raises PolicyError, and BenchmarkError for one that never learned to choose its grasp, as it is to do
+        here.
+        """
         folder = policy_folder(folder)
         policy = load_policy(folder)
-        content = hashlib.sha256((folder / JSON).read_bytes() + (folder / TENSORS).read_bytes())
-        name, seed = policy.name, int(policy.training["seed"])
-        return cls("policy", name, seed, str(folder), content.hexdigest()[:16])
+        if (grasp := policy.env.get("kwargs", {}).get("grasp", "agent")) != "agent":
+            raise BenchmarkError(
+                f"{folder}: env.kwargs.grasp = {brief(grasp)}, allowed 'agent' in a benchmark"
+            )
+        return cls("policy", policy.name, int(policy.training["seed"]), str(folder), content_of(folder))
 
     @classmethod
     def external(cls, named: str) -> Method:

@@ -18,8 +18,8 @@ RANKING = (
 """Columns of the table that ranks; the others say more."""
 LEGEND = """\
 Methods are ranked by the share of scenes where they are **certified**, then by **survival**, then by
-**excess**. In brackets: 95 % intervals, by resampling scenes and training seeds; Clopper and Pearson's for
-all or none.
+**excess**. In brackets: 95 % intervals, by resampling scenes and training seeds; Clopper and Pearson's over
+scenes for shares of all or none.
 
 **certified**: share of scenes whose retraction the certifier passes on its mesh `{resolution}`.
 **survival**: share of {draws} fresh draws of what each scene leaves unknown under which the plan still holds,

@@ -1,8 +1,9 @@
 """What rows of the benchmark say of each method: shares, margins, and interquartile means with intervals.
 
 The score of a method on a scene is the least certified strain known there over its own, so 1 for the best
-and 0 where it is not certified. Interquartile means over scenes and training seeds, and
-their 95 % bootstrap intervals, are rliable's (Agarwal et al., NeurIPS 2021).
+and 0 where it is not certified. Interquartile means over scenes and training seeds are rliable's (Agarwal et
+al., NeurIPS 2021). The 95 % intervals are of bootstrap samples that draw whole seeds and whole scenes: a seed
+drawn anew for each scene would average out what one seed is like on all of them.
 """
 
 from __future__ import annotations
@@ -98,12 +99,16 @@ def summaries(
         values = {name: _values(matrix, value) for name, matrix in table.items()}
         return {name: _interval(v, statistic, seed, bootstrap) for name, v in values.items()}
 
-    certified = {n: _where_all_are_alike(i, table[n]) for n, i in all_over(_certified, np.mean).items()}
-    survival = all_over(lambda row: _number(row["survival"]), _mean_known)
-    closed_loop = all_over(lambda row: _number(row["closed_loop"]), _mean_known)
+    def share(value: Callable[[Row], float]) -> dict[str, Interval]:
+        """Likewise the mean of shares, with an interval also where all are alike."""
+        return {n: _where_all_are_alike(i, table[n]) for n, i in all_over(value, _mean_known).items()}
+
+    certified = share(_certified)
+    survival = share(lambda row: _number(row["survival"]))
+    closed_loop = share(lambda row: _number(row["closed_loop"]))
     middle = excess = firm = dict.fromkeys(table, UNKNOWN)
     if best is not None:
-        middle = intervals(scores_by_method(rows, best), interquartile_mean, seed, bootstrap)
+        middle = all_over(lambda row: score(row, best), interquartile_mean)
         excess = all_over(lambda row: _excess(row, "max_strain", best), _median_known)
         firm = all_over(lambda row: _excess(row, "firm_strain", best), _median_known)
     found = [
@@ -149,24 +154,6 @@ def interquartile_mean(scores: Array) -> float:
     return float(aggregate_iqm(scores))
 
 
-def intervals(
-    values: dict[str, Array], statistic: Callable[[Array], Any], seed: int, bootstrap: int
-) -> dict[str, Interval]:
-    """Statistic of each (runs, scenes) array, and its 95 % interval over resampled runs and scenes."""
-    from rliable.library import get_interval_estimates
-
-    # rliable draws from NumPy's global generator, even where it is given one
-    state = np.random.get_state()  # noqa: NPY002
-    np.random.seed(seed)  # noqa: NPY002
-    try:
-        points, ends = get_interval_estimates(
-            values, lambda x: np.array([statistic(x)]), task_bootstrap=True, reps=bootstrap
-        )
-    finally:
-        np.random.set_state(state)  # noqa: NPY002
-    return {n: Interval(float(points[n][0]), float(ends[n][0, 0]), float(ends[n][1, 0])) for n in values}
-
-
 def _with_what_was_not_played(rows: Sequence[Row]) -> list[Row]:
     """The rows, with a failure where a method that plays elsewhere handed nothing in: by crashing on hard
     scenes it would else leave them out of what is said of its play."""
@@ -199,22 +186,24 @@ def _certified(row: Row) -> float:
 
 
 def _interval(values: Array, statistic: Callable[[Array], Any], seed: int, bootstrap: int) -> Interval:
-    """Of (runs, scenes) values, nan where there is none."""
-    whole = statistic(values)
+    """Of (runs, scenes) values, nan where there is none; over resampled runs and scenes."""
+    whole = float(statistic(values))
     if np.isnan(whole):
         return UNKNOWN
-
-    def of(sample: Array) -> Any:
-        found = statistic(sample)
-        return whole if np.isnan(found) else found  # a sample that has left out all that is known
-
-    return intervals({"": values}, of, seed, bootstrap)[""]
+    rng, (runs, scenes) = np.random.default_rng(seed), values.shape
+    found = [
+        float(statistic(values[np.ix_(rng.integers(runs, size=runs), rng.integers(scenes, size=scenes))]))
+        for _ in range(bootstrap)
+    ]
+    known = [whole if np.isnan(one) else one for one in found]  # where a sample left out all that is known
+    low, high = np.percentile(known, [2.5, 97.5])
+    return Interval(whole, float(low), float(high))
 
 
 def _where_all_are_alike(share: Interval, matrix: list[list[Row]]) -> Interval:
-    """A share of all scenes or of none, with Clopper and Pearson's interval for so many: samples of what is
-    all alike know of no other value."""
-    if 0 < share.value < 1:
+    """A share that is all or none on every scene, with Clopper and Pearson's interval for so many scenes:
+    samples of what is all alike know of no other value."""
+    if share.value not in (0, 1):
         return share
     from scipy.stats import binomtest
 

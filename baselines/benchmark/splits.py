@@ -43,7 +43,12 @@ class Split(_Part):
     """Of all scenes, so that a change of them is noticed."""
 
     def scenes(self, most: int | None = None) -> list[Scene]:
-        """The first `most` scenes, or all. All are drawn, as rows tell their hash. Raises BenchmarkError."""
+        """The first `most` scenes, or all. All are drawn, as rows tell their hash.
+
+        Raises BenchmarkError, also where there are not so many.
+        """
+        if most is not None and most > self.count:
+            raise BenchmarkError(f"scenes = {most}, allowed {self.count} at most")
         return list(_drawn(self)[:most])
 
 

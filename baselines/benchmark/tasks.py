@@ -22,7 +22,8 @@ ALL = "all"
 def methods_of(policies: Path | None) -> list[Method]:
     """All planners, every policy under a folder, and what plays without having learned.
 
-    Raises BenchmarkError, and PolicyError for a folder that holds no sound policy.
+    Raises BenchmarkError, also for a policy whose name is another method's, whose rows it would be taken for,
+    and PolicyError for a folder that holds no sound policy.
     """
     found = [Method("planner", name) for name in COMPETING]
     if policies is not None:
@@ -31,7 +32,13 @@ def methods_of(policies: Path | None) -> list[Method]:
             raise BenchmarkError(f"{policies}: holds no policy")
         trained = [Method.trained(folder) for folder in folders]
         seen: dict[tuple[str, int], str] = {}
+        taken = (*COMPETING, *UNTRAINED, ALL)
         for method in trained:
+            if method.name in taken or ":" in method.name:
+                raise BenchmarkError(
+                    f"{method.folder}: name = {method.name!r}, allowed one without ':' and none of "
+                    f"{', '.join(taken)}"
+                )
             other = seen.setdefault((method.name, method.run), method.folder)
             if other != method.folder:
                 raise BenchmarkError(
@@ -80,17 +87,26 @@ def tasks_of(
     methods, so that a run that is stopped has compared them on the first ones.
 
     splits: names, each alone or with how many of its scenes, as in "shifted:20"; most: scenes of each of the
-    others; transfer: whether policies are played on Bullet too; survival: whether draws of what is not known
-    are judged. Raises BenchmarkError for an unknown split, or one whose scenes have changed.
+    others, at most; transfer: whether policies are played on Bullet too; survival: whether draws of what is
+    not known are judged. Raises BenchmarkError for an unknown split, one that is asked for twice, more scenes
+    than it has, or scenes that have changed.
     """
     tasks = []
+    seen: set[str] = set()
     for asked in splits:
         name, colon, count = asked.partition(":")
         if name not in benchmark.splits or (colon and not (count.isdecimal() and int(count) > 0)):
             allowed = ", ".join(benchmark.splits)
             raise BenchmarkError(f"split = {asked!r}, allowed {allowed}, each with :COUNT or without")
+        if name in seen:
+            raise BenchmarkError(f"split = {asked!r}, allowed each split once")
+        seen.add(name)
         split = benchmark.splits[name]
-        for number, scene in enumerate(split.scenes(int(count) if colon else most)):
+        try:
+            scenes = split.scenes(int(count) if colon else min(most or split.count, split.count))
+        except BenchmarkError as error:
+            raise BenchmarkError(f"split = {asked!r}: {error}") from None
+        for number, scene in enumerate(scenes):
             tasks += [
                 work_item(
                     method=method,

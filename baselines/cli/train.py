@@ -60,7 +60,7 @@ def train_command(
                 "--steps": steps,
                 "--envs": envs,
             }
-            given |= {"--physics": physics, "--from": start, "--demos": demos}
+            given |= {"--physics": physics, "--from": start, "--demos": demos, "--benchmark": benchmark}
             if wrong := [name for name, value in given.items() if value is not None]:
                 raise BadInput(f"{', '.join(wrong)}: not with --resume, the run has its own")
             run = train.open_run(folder)
@@ -109,8 +109,14 @@ def _new_run(
 
     scenes: list[Any] = [None]
     if recipe.task.scene == "random":
-        split = load_benchmark(benchmark).splits["validation"]
-        scenes = [scene.dump() for scene in split.scenes(recipe.evaluation.scenes)]
+        splits, asked = load_benchmark(benchmark).splits, recipe.evaluation.scenes
+        if (split := splits.get("validation")) is None:
+            raise BadInput(
+                f"{benchmark}: splits {', '.join(splits)}, allowed with validation, to be judged on"
+            )
+        if asked > split.count:
+            raise BadInput(f"evaluation.scenes = {asked}, allowed {split.count} at most, as in {benchmark}")
+        scenes = [scene.dump() for scene in split.scenes(asked)]
     count = envs or recipe.envs or cores()
     return Run(recipe, seed, count, scenes, str(start) if start else None, demos, command_line())
 

@@ -29,6 +29,8 @@ def written_whole(path: Path) -> Iterator[Path]:
     temporary = path.with_name(f".{path.stem[:100]}-{secrets.token_hex(4)}{path.suffix}")
     try:
         yield temporary
+        with temporary.open("rb+") as file:
+            os.fsync(file.fileno())  # else a power cut may leave the name and no content
         os.replace(temporary, path)
     except BaseException:
         temporary.unlink(missing_ok=True)

@@ -12,14 +12,16 @@ import hashlib
 import json
 import multiprocessing
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
 from baselines.jobs.apart import end_with_parent
+from retract_env.config import brief
 from retract_env.errors import ConfigError
 from retract_env.threads import single_threaded
 
@@ -31,6 +33,8 @@ that, so that whoever moves them goes on with the same rows."""
 Row = dict[str, Any]
 Work = Callable[[WorkItem], Row]
 OnRow = Callable[[Row], None]
+Rows = Generator[tuple[str, Row], None, None]
+"""Each with its key."""
 
 TRIES = 3
 """Workers that may die over one task before it is given up."""
@@ -93,54 +97,84 @@ def run_tasks(
     kept = Journal(journal)
     missing = {key: task for task in tasks if (key := key_of(task)) not in kept.rows}
     runner = _on_ray if cluster else _in_processes if jobs > 1 else _here
-    for key, row in runner(missing, work, jobs):
-        kept.add(key, row)
-        on_row(row)
+    with closing(runner(missing, work, jobs)) as rows:  # else workers outlive a full disk
+        for key, row in rows:
+            kept.add(key, row)
+            on_row(row)
     return [kept.rows[key_of(task)] for task in tasks]
 
 
-def _here(tasks: Mapping[str, WorkItem], work: Work, _: int) -> Iterator[tuple[str, Row]]:
+def _here(tasks: Mapping[str, WorkItem], work: Work, _: int) -> Rows:
     for key, task in tasks.items():
         yield key, work(task)
 
 
-def _in_processes(tasks: Mapping[str, WorkItem], work: Work, jobs: int) -> Iterator[tuple[str, Row]]:
-    """Fresh processes; when one dies, all are replaced and what was under way is done again."""
-    waiting, tries = dict(tasks), dict.fromkeys(tasks, 0)
+def _in_processes(tasks: Mapping[str, WorkItem], work: Work, jobs: int) -> Rows:
+    """Fresh processes; when one dies, all are replaced. What was under way is then done again, one at a time,
+    as any of it may have been what killed."""
+    waiting, deaths = dict(tasks), Counter[str]()
+    suspects: list[str] = []
     while waiting:
-        with single_threaded(), _pool(min(jobs, len(waiting))) as pool:
-            queue = iter(list(waiting.items()))
-            running: dict[Future[Row], str] = {}
-            try:
-                while True:
-                    while len(running) < jobs and (item := next(queue, None)) is not None:
-                        running[pool.submit(work, item[1])] = item[0]
-                    if not running:
-                        break
-                    for future in wait(running, return_when=FIRST_COMPLETED).done:
-                        row = future.result()
-                        key = running.pop(future)
-                        del waiting[key]
-                        yield key, row
-            except BrokenProcessPool:
-                for key in running.values():
-                    tries[key] += 1
-                    if tries[key] >= TRIES:
-                        raise JournalError(f"{TRIES} workers died over the task {tasks[key]}") from None
+        keys, count = (suspects, 1) if suspects else (list(waiting), min(jobs, len(waiting)))
+        with single_threaded(), _pool(count) as pool:
+            lost = yield from _until_one_dies(pool, count, keys, waiting, work)
+        if len(lost) == 1:
+            deaths.update(lost)
+            if deaths[lost[0]] >= TRIES:
+                raise JournalError(f"{TRIES} workers died over the task {_named(waiting[lost[0]])}")
+        suspects = [key for key in suspects if key in waiting and key not in lost] + lost
+
+
+def _until_one_dies(
+    pool: ProcessPoolExecutor, count: int, keys: Sequence[str], waiting: dict[str, WorkItem], work: Work
+) -> Generator[tuple[str, Row], None, list[str]]:
+    """Rows of these tasks, `count` at a time; what is done is taken out of those that wait. Returns what was
+    under way when a worker died, nothing where none did. Raises what `work` raises."""
+    queue = iter(keys)
+    running: dict[Future[Row], str] = {}
+    lost: list[str] = []
+    while True:
+        try:
+            while not lost and len(running) < count and (key := next(queue, None)) is not None:
+                running[pool.submit(work, waiting[key])] = key
+        except BrokenProcessPool:
+            queue = iter(())
+        if not running:
+            return lost
+        done = wait(running, return_when=FIRST_COMPLETED).done
+        for future in sorted(done, key=lambda one: one.exception() is not None):  # rows first
+            key = running.pop(future)
+            if isinstance(future.exception(), BrokenProcessPool):
+                lost.append(key)
+            else:
+                row = future.result()
+                del waiting[key]
+                yield key, row
+
+
+def _named(task: WorkItem) -> str:
+    """A task as an error names it: which method on which scene, where it says so."""
+    method = task.get("method")
+    named = {name: task[name] for name in ("split", "number", "seed") if name in task}
+    return brief(named | {"method": method["name"]} if isinstance(method, Mapping) else dict(task))
 
 
 @contextmanager
 def _pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
-    """Workers that end with the block, however it ends."""
+    """Workers that end with the block, however it ends: where it fails, what they do is lost."""
     spawn = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(jobs, mp_context=spawn, initializer=end_with_parent)
     try:
         yield pool
+    except BaseException:
+        for process in list((pool._processes or {}).values()):
+            process.terminate()
+        raise
     finally:
-        pool.shutdown(wait=False, cancel_futures=True)
+        pool.shutdown(cancel_futures=True)
 
 
-def _on_ray(tasks: Mapping[str, WorkItem], work: Work, _: int) -> Iterator[tuple[str, Row]]:
+def _on_ray(tasks: Mapping[str, WorkItem], work: Work, _: int) -> Rows:
     try:
         import ray
     except ImportError:

@@ -46,6 +46,8 @@ class Agent:
         self.stats = cast(RunningMeanStd, envs.obs_rms)  # of one vector, not of a dictionary
         self.started = ""
         """name of the policy that this one began from, if it did"""
+        self.contents: dict[str, str] = {}
+        """hash of what is learned from besides the environments, by what it is"""
         self.ended: Counter[str] = Counter()
         """how the episodes of this leg ended: "" with success, else what failed"""
         limit_torch(torch)
@@ -118,19 +120,27 @@ class Agent:
     def begin_from(self, policy: Policy) -> None:
         """Take over a policy and its normalisation of observations, which then stays as it is.
 
-        Raises RecipeError where the recipe's network is another one.
+        Raises RecipeError where the recipe's network is another one, or observations cannot be normalised as
+        they were.
         """
         policy, layers = policy.widened(), self.layers()
         shapes = [tuple(layer.weight.shape) for layer in layers]
         ours = (shapes, self.recipe.network.activation, self.learner.actor.output)
         if (theirs := ([w.shape for w in policy.weights], policy.activation, policy.output)) != ours:
             raise RecipeError(f"network: layers, activation and output {ours}, those to start from {theirs}")
+        seen, least = self.recipe.observation, policy.deviation.min()
+        if policy.clip != seen.clip:
+            raise RecipeError(
+                f"observation.clip = {seen.clip:g}, allowed that of the policy, {policy.clip:g}"
+            )
+        if least < np.float32(seen.floor):
+            raise RecipeError(f"observation.floor = {seen.floor:g}, allowed the policy's, {least:g} at most")
         with torch.no_grad():
             for layer, weight, bias in zip(layers, policy.weights, policy.biases, strict=True):
                 layer.weight.copy_(torch.from_numpy(weight))
                 layer.bias.copy_(torch.from_numpy(bias))
-        floor = self.recipe.observation.floor
-        self.normalise(policy.mean, np.maximum(policy.deviation.astype(np.float64) ** 2 - floor**2, 0.0))
+        variance = np.maximum(policy.deviation.astype(np.float64) ** 2 - seen.floor**2, 0.0)
+        self.normalise(policy.mean, variance)
         self._start(policy.name)
 
     def _start(self, name: str) -> None:

@@ -28,12 +28,9 @@ class Cloner(Agent):
         """how: the recipe's learner."""
         super().__init__(recipe, envs, seed)
         self.how = how
-        seen = demos.observations
+        self.contents = {"dataset": demos.hash}
+        self._seen = seen = demos.observations
         self.normalise(seen.mean(axis=0, dtype=np.float64), seen.var(axis=0, dtype=np.float64))
-        floor, clip = recipe.observation.floor, recipe.observation.clip
-        deviation = np.sqrt(self.stats.var + floor**2)
-        normal = np.clip((seen - self.stats.mean) / deviation, -clip, clip)
-        self._inputs = torch.from_numpy(normal.astype(np.float32))
         self._targets = torch.from_numpy(demos.actions.copy())
         choosing = torch.from_numpy(seen[:, SLICES["holding"]] == 0)
         # the third number of a grasp has no meaning
@@ -52,12 +49,12 @@ class Cloner(Agent):
     def learn(self, steps: int, on_step: OnStep) -> None:
         """So many gradient steps on batches drawn from the run's seed and the steps done."""
         rng = torch.Generator().manual_seed(seed_of(self.seed, self.steps))
-        count, size = len(self._inputs), self.how.batch_size
+        seen, count, size = self._normalised(), len(self._targets), self.how.batch_size
         for _ in range(steps):
             for group in self.optimizer.param_groups:
                 group["lr"] = self.rate()
             batch = torch.randint(count, (size,), generator=rng)
-            inputs = self._inputs[batch]
+            inputs = seen[batch]
             inputs[:, SLICES["k_eq"]] += self.how.stiffness_noise * torch.randn(
                 (size, STIFFNESS_SAMPLES), generator=rng
             )
@@ -81,6 +78,16 @@ class Cloner(Agent):
         """The inverse of `state`. Raises as the agent's."""
         super().restore(state)
         self.optimizer.load_state_dict(state["cloning"])
+
+    def _normalised(self) -> torch.Tensor:
+        """(n, SIZE) what the network sees of the demonstrations.
+
+        One that began from a policy keeps that one's normalisation, which is not the data set's.
+        """
+        floor, clip = self.recipe.observation.floor, self.recipe.observation.clip
+        deviation = np.sqrt(self.stats.var + floor**2)
+        normal = np.clip((self._seen - self.stats.mean) / deviation, -clip, clip)
+        return torch.from_numpy(normal.astype(np.float32))
 
     def _mean_action(self, inputs: torch.Tensor) -> torch.Tensor:
         """(n, 3), as `Policy` computes it, but not clipped: beyond the limits there is no gradient."""

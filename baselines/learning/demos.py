@@ -8,6 +8,7 @@ made it and the numbers of the scenes for which nothing was certified.
 from __future__ import annotations
 
 import base64
+import hashlib
 import json
 import os
 import tempfile
@@ -24,11 +25,12 @@ from numpy.typing import NDArray
 
 import retract_env
 from baselines.jobs.journal import Row, WorkItem
+from retract_env.config import brief
 from retract_env.errors import ConfigError
 from retract_env.physics.registry import PHYSICS
 from retract_env.rollout import PathPolicy, Rollout, rollout
 from retract_env.scene import Scene, sample_scene
-from retract_env.task import SIZE
+from retract_env.task import SIZE, actions
 
 Floats = NDArray[np.float32]
 
@@ -243,23 +245,36 @@ class Demos:
     """(n, 3)"""
     episodes: int
 
+    @property
+    def hash(self) -> str:
+        """16 hex digits of the SHA-256 over all of its numbers."""
+        return hashlib.sha256(self.observations.tobytes() + self.actions.tobytes()).hexdigest()[:16]
+
 
 def load_demos(name: str, most: int | None = None) -> Demos:
-    """A data set's first `most` episodes, or all. Raises DemosError."""
+    """A data set's first `most` episodes, or all. Raises DemosError, also for one of another task and where
+    there are not so many."""
     minari = _minari()
     try:
         dataset = minari.load_dataset(name)
+        if most is not None and most > len(dataset):
+            raise DemosError(f"demos = {most}, allowed {len(dataset)} at most: dataset {name} has no more")
+        for what, space, size in (
+            ("observations", dataset.observation_space, SIZE),
+            ("actions", dataset.action_space, actions.SIZE),
+        ):
+            if space.shape != (size,):
+                raise DemosError(f"dataset {name}: {what} {brief(space)}, allowed vectors of {size} numbers")
         episodes = [episode for _, episode in zip(range(most or len(dataset)), dataset, strict=False)]
         observations = np.concatenate([e.observations[:-1] for e in episodes]).astype(np.float32)
-        actions = np.concatenate([e.actions for e in episodes]).astype(np.float32)
+        moves = np.concatenate([e.actions for e in episodes]).astype(np.float32)
+    except DemosError:
+        raise
     except FileNotFoundError:
         raise DemosError(f"dataset {name}: there is none; `retract demos` makes one") from None
     except (ValueError, OSError, KeyError) as error:
         raise DemosError(f"dataset {name}: {error}") from None
-    if observations.shape[1:] != (SIZE,):
-        width = observations.shape[1]
-        raise DemosError(f"dataset {name}: observations of {width} numbers, today's have {SIZE}")
-    return Demos(observations, actions, len(episodes))
+    return Demos(observations, moves, len(episodes))
 
 
 def _by_term(infos: Mapping[str, list[Any]]) -> dict[str, Any]:

@@ -88,6 +88,7 @@ class _Training(_Part):
     envs: Whole | None = None
     start: Text | None = None
     demos: Whole | None = None
+    contents: Plain | None = None
     hash: SHA256 | None = None
     steps: Whole | None = None
 
@@ -160,6 +161,10 @@ class Policy:
             raise PolicyError(
                 f"policy: from {ends[0]} to {ends[-1]} numbers, allowed {known} to {actions.SIZE}"
             )
+        if self.deviation.shape != self.mean.shape:
+            raise PolicyError(
+                f"policy: deviation of shape {self.deviation.shape}, allowed {self.mean.shape}, the mean's"
+            )
         if not all(np.isfinite(t).all() for t in self.tensors().values()) or not (self.deviation > 0).all():
             raise PolicyError("policy: weights, or the deviations of its observations, are no numbers")
 
@@ -230,6 +235,12 @@ def policy_folder(given: str | Path) -> Path:
     """Where a policy lies: the folder given, or that of the shipped one of that name where there is none."""
     folder = Path(given)
     return TRAINED / folder if not folder.exists() and str(given) in shipped() else folder
+
+
+def content_of(folder: str | Path) -> str:
+    """16 hex digits of the SHA-256 over a policy's files. Raises OSError."""
+    folder = policy_folder(folder)
+    return hashlib.sha256((folder / JSON).read_bytes() + (folder / TENSORS).read_bytes()).hexdigest()[:16]
 
 
 def load_policy(folder: str | Path) -> Policy:

@@ -24,10 +24,11 @@ from baselines.learning.agents import Agent
 from baselines.learning.checkpoints import CheckpointError, read_checkpoint, write_checkpoint
 from baselines.learning.envs import judge, make_envs, play_on_fem
 from baselines.learning.fields import RecipeError
-from baselines.learning.policies import Policy, load_policy, save_policy
+from baselines.learning.policies import Policy, content_of, load_policy, save_policy
 from baselines.learning.recipe import Recipe
-from retract_env.errors import ConfigError
+from retract_env.errors import ConfigError, FlapRefused
 from retract_env.given import read_scene
+from retract_env.mesh.jaws import jaw_range
 from retract_env.physics.registry import PHYSICS
 
 RUN, CHECKPOINT, CURVE, POLICY, LOG = "run.json", "checkpoint.pt", "curve.csv", "policy", "tensorboard"
@@ -57,6 +58,8 @@ class Run:
     demos: int | None = None
     """episodes of the data set that are learned from; None is all"""
     command: str = ""
+    contents: Mapping[str, str] = field(default_factory=dict)
+    """hashes of the policy and the data set that it names, `start` and `dataset`, once it has begun"""
 
     def to_json(self) -> dict[str, Any]:
         """Plain data; `hash` is that of all that decides the result."""
@@ -67,6 +70,7 @@ class Run:
             "scenes": list(self.scenes),
             "start": self.start,
             "demos": self.demos,
+            "contents": dict(self.contents),
         }
         text = json.dumps(data, sort_keys=True, separators=(",", ":"))
         return {**data, "command": self.command, "hash": hashlib.sha256(text.encode()).hexdigest()}
@@ -91,7 +95,7 @@ def open_run(folder: Path) -> Run:
     try:
         data = json.loads(file.read_text(encoding="utf-8"))
         kept = {key: data[key] for key in ("seed", "envs", "scenes", "start", "demos", "command")}
-        run = Run(recipe=Recipe.from_data(data["recipe"]), **kept)
+        run = Run(recipe=Recipe.from_data(data["recipe"]), contents=dict(data["contents"]), **kept)
     except FileNotFoundError:
         raise RunError(f"{folder}: holds no training run") from None
     except RecipeError:
@@ -117,20 +121,22 @@ def train(run: Run, folder: Path, on_progress: OnProgress = lambda _: None) -> P
     """Train to the end, from the checkpoint in the folder if there is one; returns the best policy.
 
     What cannot be trained is refused before anything is written. Raises RecipeError, DemosError, PolicyError,
-    CheckpointError, SceneError, ImportError for a physics that is not installed, OSError.
+    CheckpointError, RunError where what the run names has changed since it began, SceneError, ImportError for
+    a physics that is not installed, OSError.
     """
-    check_scene(run.recipe)
-    start = None if run.start is None else load_policy(run.start)
+    run = replace(run, recipe=with_its_scene(run.recipe))
     envs = make_envs(run.recipe, run.envs)
     try:
         module, _, name = run.recipe.learner.AGENT.partition(":")
         kind: type[Agent] = getattr(import_module(module), name)
         agent = kind.of(run.recipe, envs, run.seed, run.demos)
+        run = _held_to(run, agent.contents)
         course = _resumed(run, agent, folder)
         if course is None:
             course = _Course()
-            if start is not None:
-                agent.begin_from(start)
+            if run.start is not None:
+                agent.begin_from(load_policy(run.start))
+                run = _held_to(run, {"start": content_of(run.start)})
             folder.mkdir(parents=True, exist_ok=True)
             with written_whole(folder / RUN) as temporary:
                 write_json(temporary, run.to_json())
@@ -140,12 +146,35 @@ def train(run: Run, folder: Path, on_progress: OnProgress = lambda _: None) -> P
         envs.close()
 
 
-def check_scene(recipe: Recipe) -> None:
-    """Raise SceneError or ImportError for a recipe whose environment cannot be made here."""
+def with_its_scene(recipe: Recipe) -> Recipe:
+    """The recipe with its scene in the place of a file's name: a run goes on as it began, whatever becomes of
+    the file.
+
+    Raises SceneError, ImportError, or RecipeError for one whose environment cannot be made here.
+    """
     settings = recipe.task
     kind = PHYSICS[settings.physics]
-    kind.check(settings.resolution or kind.resolution)
-    kind.accepted(read_scene(settings.scene))
+    resolution = settings.resolution or kind.resolution
+    kind.check(resolution)
+    scene = kind.accepted(read_scene(settings.scene))
+    if isinstance(scene, str):
+        return recipe
+    try:
+        kind.make(scene, sum(jaw_range(scene.tissue.length, scene.jaws.width)) / 2, resolution).close()
+    except FlapRefused as error:
+        raise RecipeError(f"task.scene: {error}") from None
+    except ValueError:
+        pass  # there; elsewhere it may be grasped
+    data = recipe.dump()
+    return Recipe.from_data(data | {"task": data["task"] | {"scene": scene.dump()}})
+
+
+def _held_to(run: Run, contents: Mapping[str, str]) -> Run:
+    """The run with the hashes of what it names. Raises RunError where it began with others."""
+    for name, content in contents.items():
+        if (begun := run.contents.get(name, content)) != content:
+            raise RunError(f"{name}: its content is {content}, allowed {begun}, which the run began with")
+    return replace(run, contents={**run.contents, **contents})
 
 
 def _legs(run: Run, folder: Path, agent: Agent, course: _Course, on_progress: OnProgress) -> Policy:
@@ -167,8 +196,8 @@ def _legs(run: Run, folder: Path, agent: Agent, course: _Course, on_progress: On
             last = _judged(run, agent, policy)
             last["seconds"] = round(earlier + time.perf_counter() - begin, 1)
             curve.append(last)
-            shown = {f"validation/{k}": v for k, v in last.items() if k not in ("steps", "seconds")}
-            agent.record(shown)
+            shown = {k: v for k, v in last.items() if k not in ("steps", "seconds") and v is not None}
+            agent.record({f"validation/{name}": value for name, value in shown.items()})
             if last["quality"] > course.best or len(curve) == 1:
                 course.best = last["quality"]
                 save_policy(_described(run, policy, curve), folder / POLICY)
@@ -201,19 +230,21 @@ def _resumed(run: Run, agent: Agent, folder: Path) -> _Course | None:
 def _judged(run: Run, agent: Agent, policy: Policy) -> dict[str, Any]:
     """A line of the curve. Its quality is the mean of 1 - strain / limit where it succeeds, 0 elsewhere.
 
-    `broken` is the share of episodes since the last checkpoint, exploration and all, that broke a limit. What
-    begins with `fem_` is of the same policy on coarse finite elements, on the first of the scenes: `fem_gap`
-    by how much of itself strain is greater there, on average, where it succeeds on both.
+    `broken` is the share of episodes since the last checkpoint, exploration and all, that broke a limit; None
+    where none ended, as none does in cloning. What begins with `fem_` is of the same policy on coarse finite
+    elements, on the first of the scenes: `fem_gap` by how much of itself strain is greater there, on average,
+    where it succeeds on both.
     """
     outcomes = judge(agent.envs, policy, run.scenes)
     good = [o for o in outcomes if o["success"]]
+    ended = agent.ended.total()
     line = {
         "steps": agent.steps,
         **_summary(outcomes),
         "quality": float(sum(1 - o["strain"] for o in good)) / len(outcomes),
         "total": float(np.mean([o["total"] for o in outcomes])),
         "length": float(np.mean([o["steps"] for o in outcomes])),
-        "broken": sum(agent.ended[reason] for reason in BROKEN) / max(1, agent.ended.total()),
+        "broken": sum(agent.ended[reason] for reason in BROKEN) / ended if ended else None,
     }
     if run.recipe.task.physics != "fem" and run.recipe.evaluation.fem:
         beside = play_on_fem(policy, run.scenes[: run.recipe.evaluation.fem])

@@ -113,11 +113,14 @@ class Episode:
     def take(self, grasp: Grasp | None) -> None:
         """Close the jaws before the first step, on the spring model's best grasp where none is given.
 
-        Raises Diverged where the tissue cannot be squeezed there, nor at the next `MOST_GRASPS` less one,
-        ValueError for a grasp off the flap, its kind FlapRefused where the physics takes no such flap.
+        Raises Diverged where the tissue cannot be squeezed there, nor at the next `MOST_GRASPS` less one, or
+        where the spring model knows no grasp; ValueError for a grasp off the flap, its kind FlapRefused where
+        the physics takes no such flap.
         """
         stated = self.task.stated
         candidates = spring_grasps(stated)[:MOST_GRASPS] if grasp is None else [grasp]
+        if not candidates:
+            raise Diverged(f"scene {stated.name!r}: the spring model knows no grasp of its flap")
         for candidate in candidates:
             self.diverged = False
             self._close(candidate if grasp else held(stated, candidate, self.task.config))

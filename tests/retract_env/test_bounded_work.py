@@ -13,6 +13,7 @@ import pytest
 from baselines.verification.flaps import HEIGHT, square_vein
 from retract_env.env import TissueRetractEnv
 from retract_env.errors import Diverged, FlapRefused, MeshError
+from retract_env.fem import solver
 from retract_env.grasp import Grasp
 from retract_env.physics import fem
 from retract_env.physics.fem import FemPhysics
@@ -34,11 +35,11 @@ def test_a_move_that_takes_too_long_has_diverged_and_leaves_the_last_good_state(
     physics = FemPhysics(default_scene(), -0.03, "coarse")
     physics.reset()
     squeezed = physics.move_to(np.array([-0.03, HEIGHT / 2, 0.0, 0.8 * HEIGHT]))
-    before = physics.equilibrium.counts["iterations"]
+    before = physics.equilibrium.work
     monkeypatch.setattr(fem, "MOST_ITERATIONS", 50)
     with pytest.raises(Diverged, match="iterations"):
         physics.move_to(np.array([0.05, HEIGHT / 2, 0.0, 0.8 * HEIGHT]))
-    assert physics.equilibrium.counts["iterations"] - before <= 50 + 2 * fem.PATIENCE
+    assert physics.equilibrium.work - before <= 50 + fem.PATIENCE + solver.MOST_SHIFTS
     last = physics.state()
     assert np.isfinite(last.points).all()
     assert last.jaws[0] >= squeezed.jaws[0]
@@ -49,6 +50,10 @@ def test_an_immense_mesh_is_refused_before_it_is_solved() -> None:
         MeshError, match=r"tissue: \d+ unknowns at 'coarse', allowed 150000; the flap is too long"
     ):
         FemPhysics(flap(0.5, 5e-4, 0.05, 4e4), -0.3, "coarse")
+    with pytest.raises(MeshError, match=r"tissue: \d+ unknowns at 'coarse'"):  # of 500 layers
+        FemPhysics(flap(0.05, 1e-4, 0.5, 4e4), -0.03, "coarse")
+    with pytest.raises(MeshError, match="tissue: 5e\\+05 times as long as high, allowed 5000 at 'coarse'"):
+        FemPhysics(flap(0.5, 1e-6, 0.05, 4e4), -0.3, "coarse")
 
 
 def test_bullet_refuses_immense_meshes_too() -> None:
@@ -71,8 +76,12 @@ def test_only_the_best_grasps_are_tried_at_reset(monkeypatch: pytest.MonkeyPatch
     env = TissueRetractEnv("fem")
     with pytest.raises(Diverged, match=f"{episode.MOST_GRASPS} grasps could not be squeezed"):
         env.reset(options={"grasp": "spring"})
+    tries = list(tried)
+    monkeypatch.setattr(episode, "spring_grasps", lambda _: [])
+    with pytest.raises(Diverged, match=r"the spring model knows no grasp of its flap$"):
+        env.reset(options={"grasp": "spring"})
     env.close()
-    assert tried == [-0.01 - k * 1e-3 for k in range(episode.MOST_GRASPS)]
+    assert tried == tries == [-0.01 - k * 1e-3 for k in range(episode.MOST_GRASPS)]
 
 
 @pytest.mark.parametrize("grasp", ["agent", {"x": -0.3, "compression": 1e-4}])

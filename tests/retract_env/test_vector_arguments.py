@@ -72,7 +72,10 @@ IN_THE_BLOCK = {"x": -1e-4, "compression": 1e-3}
     [
         ([1, 2], {}, "seed has 2 numbers, allowed 3"),
         (None, {"jaws": 3}, "options: unknown jaws"),
-        (None, {"reset_mask": [True]}, r"options\['reset_mask'\] allowed \(3,\) bool"),
+        ([0, 1, -1], {}, "seed of environment 2 = -1, allowed None or a whole number from 0 on"),
+        (-1, {}, "seed of environment 0 = -1, allowed"),
+        (np.array([0, 1.5, 2]), {}, "seed of environment 0 = .*0.0.*, allowed"),
+        (None, {"reset_mask": [True]}, r"options\['reset_mask'\] = \[True\], allowed \(3,\) bool"),
         (None, {"reset_mask": np.zeros(3, bool)}, "at least one of them True"),
         (None, {"reset_mask": np.ones(3)}, "bool"),
         (None, {"grasp": "best"}, "grasp = 'best', allowed"),
@@ -221,6 +224,16 @@ def test_where_a_random_flap_fails_to_begin_all_have_to_be_reset() -> None:
 def test_a_seed_that_is_none_is_one_line(seed: Any) -> None:
     with refused("seed"):
         vector(3).reset(seed=seed)
+
+
+def test_wrong_seeds_change_nothing() -> None:
+    envs, untouched = vector(2, scene="random"), vector(2, scene="random")
+    for one in (envs, untouched):
+        one.reset(seed=4)
+    with refused("seed of environment 1 = -1, allowed"):
+        envs.reset(seed=[0, -1])
+    same(envs.step(np.zeros((2, 3))), untouched.step(np.zeros((2, 3))))
+    same(envs.reset(), untouched.reset())
 
 
 def test_numbers_beyond_all_floats_are_one_line() -> None:

@@ -18,12 +18,14 @@ from tests.retract_env.vectors import NEXT, SAME, Player, play, row, same, singl
 # --- Seeds
 
 
-@pytest.mark.parametrize("seed", [3, np.int64(3), [7, 5, 11], (None, 4, None), [1, None, 1]], ids=str)
+@pytest.mark.parametrize(
+    "seed", [3, np.int64(3), [7, 5, 11], np.arange(3), (None, 4, None), [1, None, 1]], ids=str
+)
 def test_seeds_are_those_of_single_ones(seed: Any) -> None:
     native, single = vector(3, scene="random"), singles(3, scene="random")
     for envs in (native, single):
         envs.reset(seed=0)  # what has no seed goes on from here
-    given = int(seed) if isinstance(seed, np.integer) else seed  # of which Gymnasium's knows nothing
+    given = seed.tolist() if hasattr(seed, "tolist") else seed  # of which Gymnasium's knows nothing
     same(play(native, Player(0, 3), 8, seed), play(single, Player(0, 3), 8, given))
     assert native.np_random_seed == single.np_random_seed
     same(native.reset(), single.reset())

@@ -171,7 +171,7 @@ def test_what_is_no_state_or_of_others_is_refused_and_changes_nothing() -> None:
     wrong: list[tuple[Any, type[Exception], str]] = [
         (7, TypeError, r"^state is a int, allowed a VectorState$"),
         (state.repeated(0, 2), ValueError, r"^state of 2 environments, allowed 3$"),
-        (_other_task(), ValueError, r"^state: of another task$"),
+        (_other_task(), ValueError, r"^the state is of an environment whose task differs in steps$"),
     ]
     for given, error, said in wrong:
         with pytest.raises(error, match=said):

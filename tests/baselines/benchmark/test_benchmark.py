@@ -26,6 +26,7 @@ from planners import PLANNERS, certify, plan
 from planners.base import Candidate, NoPlan
 from planners.paths import circular, ctc
 from retract_env.config import read_yaml
+from retract_env.errors import FlapRefused
 from retract_env.grasp import Grasp
 from retract_env.scene import Scene
 from retract_env.scene.sampling import SceneRanges
@@ -173,6 +174,32 @@ def test_trained_policies_are_found_at_any_depth(tmp_path: Path) -> None:
         methods_of(tmp_path)
 
 
+@pytest.mark.parametrize("name", ["ctc", "swift_force", "random", "all", "mine:f"])
+def test_a_policy_does_not_take_another_methods_name(tmp_path: Path, name: str) -> None:
+    save_policy(policy(name=name), tmp_path / "it")
+    with pytest.raises(
+        BenchmarkError, match=rf"it: name = '{name}', allowed one without ':' and none of ctc, "
+    ):
+        methods_of(tmp_path)
+
+
+def test_a_policy_that_never_chose_its_grasp_is_refused(tmp_path: Path) -> None:
+    save_policy(policy(env={"id": "TissueRetractRod-v0", "kwargs": {"grasp": "spring"}}), tmp_path)
+    with pytest.raises(
+        BenchmarkError, match=r": env\.kwargs\.grasp = 'spring', allowed 'agent' in a benchmark$"
+    ):
+        Method.trained(tmp_path)
+
+
+def test_no_more_scenes_than_there_are_and_no_split_twice(benchmark: Benchmark) -> None:
+    with pytest.raises(BenchmarkError, match=r"^split = 'validation:33': scenes = 33, allowed 32 at most$"):
+        tasks_of(benchmark, [], ["validation:33"])
+    every = tasks_of(benchmark, [Method("planner", "ctc")], ["validation"], most=33)
+    assert len(every) == 32
+    with pytest.raises(BenchmarkError, match=r"^split = 'test:5', allowed each split once$"):
+        tasks_of(benchmark, [], ["test:3", "test:5"])
+
+
 def test_tasks_are_plain_and_name_the_code(benchmark: Benchmark) -> None:
     tasks = tasks_of(benchmark, [Method("planner", "ctc")], ["validation"], most=2)
     assert [task["number"] for task in tasks] == [0, 1]
@@ -267,6 +294,23 @@ def test_no_two_scenes_have_the_same_noise(work: Callable[..., Any], monkeypatch
         with pytest.raises(Begun):
             work(task)
     assert len(set(seeds)) == 2 and None not in seeds
+
+
+def test_a_flap_that_the_physics_refuses_costs_its_own_row(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuses(*_: Any, **__: Any) -> Any:
+        raise FlapRefused("too stiff")
+
+    monkeypatch.setattr(attempts, "rollout", refuses)
+    task = coarse(Method("nothing", "nothing"), easy_scene())
+    row = compete(task)
+    assert (row["certified"], row["reason"]) == (False, "raised")
+    assert row["detail"].startswith("FlapRefused: too stiff (")
+    played: dict[str, Any] = {"detail": ""}
+    monkeypatch.setattr(contest, "transferred", refuses)
+    contest._also(played, contest._here, refuses, task)
+    assert played["transfer"] == "raised" and played["detail"].startswith(
+        "transfer: raised FlapRefused: too "
+    )
 
 
 @pytest.mark.slow

@@ -231,7 +231,27 @@ def test_what_is_known_of_some_scenes_has_an_interval_of_its_own() -> None:
     (never,) = summaries(rows, best_known(rows, {f"scene {k}": 0.1 for k in range(10)}), 0, 50)
     assert never.certified.value == 0 and 0.2 < never.certified.high < 0.4
     assert np.isnan(never.excess.value) and np.isnan(never.seconds)
-    assert "| never | 0 % (0 to 31) | 0 % (0 to 0) | none |" in in_text([never])
+    assert "| never | 0 % (0 to 31) | 0 % (0 to 31) | none |" in in_text([never])
+
+
+def test_what_differs_from_seed_to_seed_is_not_averaged_out_over_scenes() -> None:
+    """Of two seeds, one that certifies everything and one nothing say little, on however many scenes."""
+    pytest.importorskip("rliable")
+    from baselines.benchmark.scores import summaries
+
+    rows = [*made_up("mine", [0.2] * 100, run=0), *made_up("mine", [None] * 100, run=1)]
+    (found,) = summaries(rows, {f"scene {k}": 0.2 for k in range(100)}, 0, 200)
+    for share in (found.certified, found.score):
+        assert (share.low, share.value, share.high) == pytest.approx((0.0, 0.5, 1.0))
+
+
+def test_shares_of_draws_that_are_all_alike_have_an_interval_over_scenes() -> None:
+    pytest.importorskip("rliable")
+    from baselines.benchmark.scores import summaries
+
+    (found,) = summaries(made_up("mine", [0.2] * 100, survival=1.0, closed_loop=1.0), None, 0, 50)
+    assert found.survival == found.closed_loop == found.certified
+    assert found.survival.high == 1 and found.survival.low == pytest.approx(0.025 ** (1 / 100))
 
 
 def test_what_went_wrong_with_a_method_from_elsewhere_is_told(benchmark: Benchmark, tmp_path: Path) -> None:

@@ -20,6 +20,7 @@ pytest.importorskip("tensorboard")
 from baselines.cli import main
 from baselines.cli.console import announce_compilation
 from baselines.learning.train import CHECKPOINT
+from retract_env.config import CONFIGS, read_yaml
 from retract_env.fem import kernels, kernels_are_cached
 from retract_env.physics.registry import PHYSICS
 from tests.baselines.trained import recipe
@@ -44,7 +45,7 @@ def config(tmp_path: Path) -> Path:
         (["sac"], "algorithm = 'ppo', asked for 'sac'"),
         (["ddpg"], "algorithm = 'ddpg', allowed ppo, ppo_lagrangian, sac, tqc, bc"),
         (["ppo", "--physics", "jelly"], "task.physics = 'jelly', allowed bullet, fem, rod"),
-        (["ppo", "--resume"], "--config, --envs: not with --resume"),
+        (["ppo", "--resume", "--benchmark", "b"], "--config, --envs, --benchmark: not with --resume"),
     ],
 )
 def test_what_cannot_be_trained_leaves_nothing(
@@ -55,6 +56,40 @@ def test_what_cannot_be_trained_leaves_nothing(
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 1 and said in lines[0]
     assert not out.exists()
+
+
+def test_scenes_to_be_judged_on_that_there_are_not_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = read_yaml(CONFIGS / "benchmark.yaml")
+    del data["splits"]["validation"]
+    (tmp_path / "benchmark.yaml").write_text(yaml.safe_dump(data))
+    greedy = recipe("ppo", 48, 16, **SMALL).dump()
+    greedy["task"]["scene"] = "random"
+    greedy["evaluation"]["scenes"] = 100
+    (tmp_path / "greedy.yaml").write_text(yaml.safe_dump(greedy))
+    for option, said in (
+        (["--benchmark", str(tmp_path / "benchmark.yaml")], "splits shifted, test, allowed with validation"),
+        (["--config", str(tmp_path / "greedy.yaml")], "evaluation.scenes = 100, allowed 32 at most"),
+    ):
+        assert main(["train", "ppo", *option, "--out", str(tmp_path / "run")]) == 2
+        lines = capsys.readouterr().err.splitlines()
+        assert len(lines) == 1 and said in lines[0]
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_scene_that_the_physics_refuses_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("pybullet")
+    data = recipe("ppo", 48, 16, **SMALL).dump()
+    data["task"]["scene"]["tissue"]["density"] = 0.0
+    (tmp_path / "recipe.yaml").write_text(yaml.safe_dump(data))
+    options = ["--physics", "bullet", "--config", str(tmp_path / "recipe.yaml"), "--envs", "1"]
+    assert main(["train", "ppo", *options, "--out", str(tmp_path / "run")]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1 and "error: task.scene: tissue.density = 0 kg/m^3, allowed in Bullet" in lines[0]
+    assert not (tmp_path / "run").exists()
 
 
 def test_interrupted_it_says_how_to_go_on(tmp_path: Path, config: Path) -> None:

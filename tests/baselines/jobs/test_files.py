@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import threading
 from contextlib import ExitStack
 from pathlib import Path
@@ -27,6 +28,23 @@ def test_a_file_takes_its_name_only_at_the_end(tmp_path: Path) -> None:
         assert not target.exists()
     assert target.read_text() == "whole"
     assert list(tmp_path.iterdir()) == [target]
+
+
+def test_what_a_file_holds_is_on_the_disk_before_it_takes_the_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done: list[str] = []
+    replace = os.replace
+
+    def replaced(*names: Path) -> None:
+        done.append("name")
+        replace(*names)
+
+    monkeypatch.setattr(os, "fsync", lambda _: done.append("content"))
+    monkeypatch.setattr(os, "replace", replaced)
+    with written_whole(tmp_path / "checkpoint.pt") as temporary:
+        temporary.write_text("whole")
+    assert done == ["content", "name"]
 
 
 @pytest.mark.parametrize("error", [Broken, KeyboardInterrupt])

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from baselines.jobs.journal import Journal, JournalError, key_of, run_tasks
-from tests.baselines.counting import square, tasks
+from tests.baselines.counting import fails, square, tasks
 
 ROOT = Path(__file__).resolve().parents[3]
 WANTED = [{"n": n, "square": n**2} for n in range(6)]
@@ -86,6 +86,26 @@ def test_a_task_that_always_kills_its_worker_is_given_up(tmp_path: Path) -> None
     todo = [{**task, "bomb": str(bomb), "once": False} for task in tasks(tmp_path, 1)]
     with pytest.raises(JournalError, match=r"^3 workers died over the task \{"):
         run_tasks(todo, square, None, jobs=2)
+
+
+def test_who_works_beside_one_that_kills_is_not_blamed(tmp_path: Path) -> None:
+    """The innocent are done, their rows kept, and the error says no more than which work it was."""
+    bomb = tmp_path / "bomb"
+    bomb.touch()
+    todo = tasks(tmp_path, 3, seconds=0.5)
+    todo[1] |= {"bomb": str(bomb), "once": False, "method": {"name": "ctc"}, "number": 7, "scene": "x" * 9999}
+    with pytest.raises(
+        JournalError, match=r"^3 workers died over the task \{'method': 'ctc', 'number': 7\}$"
+    ):
+        run_tasks(todo, square, tmp_path / "journal", jobs=2)
+    assert {row["n"] for row in Journal(tmp_path / "journal").rows.values()} >= {0}
+
+
+def test_where_work_raises_no_worker_stays(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"^a work's own$"):
+        run_tasks(tasks(tmp_path, 2), fails, None, jobs=2)
+    with pytest.raises(ProcessLookupError):
+        os.kill(int((tmp_path / "trace").read_text()), 0)
 
 
 @pytest.mark.parametrize("jobs", [1, 2])

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 from pathlib import Path
 from typing import Any
+from unittest.mock import MagicMock
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
@@ -130,6 +132,9 @@ def test_what_is_learned_from_has_a_grasp_in_each_episode(dataset: Any) -> None:
     assert learned.observations.shape == (len(learned.actions), SIZE)
     assert (learned.observations[:, SLICES["holding"]] == 0).sum() == 2
     assert demos.load_demos(NAME, 1).episodes == 1
+    assert demos.load_demos(NAME, 1).hash != learned.hash == demos.load_demos(NAME).hash
+    with pytest.raises(demos.DemosError, match=r"^demos = 3, allowed 2 at most: "):
+        demos.load_demos(NAME, 3)
 
 
 def test_demonstrated_scenes_are_none_of_the_benchmarks() -> None:
@@ -166,6 +171,31 @@ def test_what_is_missing_or_broken_is_said(
     failed = [row | {"episode": None, "failure": "1 candidates: 1 slip"} for row in rows]
     with pytest.raises(demos.DemosError, match=r"^2 scenes, none demonstrated: 1 candidates: 1 slip$"):
         demos.write_dataset("toy/failed-v0", failed, tasks[0], "retract demos")
+
+
+def vectors(count: int) -> gym.spaces.Box:
+    return gym.spaces.Box(-1, 1, (count,))
+
+
+@pytest.mark.parametrize(
+    ("seen", "moves", "said"),
+    [
+        (gym.spaces.Dict({"image": vectors(3)}), vectors(3), "observations Dict"),
+        (gym.spaces.Discrete(5), vectors(3), "observations Discrete"),
+        (vectors(SIZE - 1), vectors(3), "observations Box"),
+        (vectors(SIZE), vectors(2), "actions Box"),
+    ],
+    ids=lambda value: str(value)[:12],
+)
+def test_a_data_set_of_another_task_is_refused(
+    seen: Any, moves: Any, said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    foreign = MagicMock(observation_space=seen, action_space=moves)
+    monkeypatch.setattr("minari.load_dataset", lambda _: foreign)
+    with pytest.raises(
+        demos.DemosError, match=rf"^dataset a/b-v0: {said}.*, allowed vectors of [0-9]+ numbers$"
+    ):
+        demos.load_demos("a/b-v0")
 
 
 def test_a_clone_repeats_what_it_was_shown(dataset: Any, tmp_path: Path) -> None:

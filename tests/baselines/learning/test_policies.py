@@ -178,6 +178,11 @@ def test_layers_must_follow_each_other() -> None:
         policy(weights=sound.weights[::-1])
     with pytest.raises(PolicyError, match=r"^policy: weights, or the deviations"):
         policy(deviation=np.zeros(SIZE, np.float32))
+    for count in (1, 5):
+        with pytest.raises(
+            PolicyError, match=rf"^policy: deviation of shape \({count},\), allowed \({SIZE},\)"
+        ):
+            policy(deviation=np.ones(count, np.float32))
 
 
 def test_a_failed_write_leaves_the_policy_that_was_there(tmp_path: Path) -> None:
