@@ -21,7 +21,7 @@ from retract_env.threads import cores
 from soak.bugs import BUGS, bug_tasks, planted
 from soak.caches import cache_tasks, compiled
 from soak.damaged import file_tasks, read
-from soak.episodes import episode_tasks, played
+from soak.episodes import episode_tasks, grown, played
 from soak.guided import guided, guided_tasks
 from soak.interruptions import stop_tasks, stopped
 from soak.outcomes import WRONG
@@ -65,6 +65,9 @@ def main(arguments: Sequence[str]) -> int:
         for part in asked.parts or PARTS:
             count, tasks_of, work = PARTS[part]
             tasks = tasks_of(max(1, round(asked.share * count)), code_version())
+            if not tasks:
+                print(f"{part}: skipped, what it needs is not installed")
+                continue
             rows = run_told(tasks, work, asked.out / f"{part}.jsonl", asked.jobs, False, part, Console())
             found[part] = summary(tasks, rows)
             bad += len(found[part]["wrong"])
@@ -72,9 +75,17 @@ def main(arguments: Sequence[str]) -> int:
     except KeyboardInterrupt:
         print("interrupted; the same command goes on", file=sys.stderr)
         return 130
-    with written_whole(asked.out / "soak.json") as temporary:
-        write_json(temporary, {"code": code_version(), "machine": machine(), **found})
+    _keep(asked.out / "soak.json", found)
     return 1 if bad else 0
+
+
+def _keep(file: Path, found: Mapping[str, dict[str, Any]]) -> None:
+    """Write what parts came to, with where; what the file says of other parts stays."""
+    before = json.loads(file.read_text("utf-8")) if file.exists() else {}
+    where = {"code": code_version(), "machine": machine()}
+    parts = {part: before[part] for part in PARTS if part in before}
+    with written_whole(file) as temporary:
+        write_json(temporary, parts | {part: where | of for part, of in found.items()})
 
 
 def summary(tasks: Sequence[Mapping[str, Any]], rows: Sequence[Row]) -> dict[str, Any]:
@@ -95,6 +106,8 @@ def summary(tasks: Sequence[Mapping[str, Any]], rows: Sequence[Row]) -> dict[str
     out["wrong"] = [
         _which(task) | {"outcome": row["outcome"], "detail": row["detail"]} for task, row in wrong
     ]
+    if blocks and (more := grown(blocks[0]["after"], blocks[-1]["after"])):
+        out["wrong"].append({"outcome": "unsound", "detail": f"from the first block to the last: {more}"})
     return out
 
 

@@ -1,4 +1,7 @@
-"""Deliberate errors, planted in a copy of the sources: the tests catch every one, or they test little."""
+"""Deliberate errors, planted in a copy of the sources: the tests catch every one, or they test little.
+
+The same tests pass in a copy without an error, or it would not be the error that they notice.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,7 @@ from benchmarks._report import ROOT
 COPIED = ("retract_env", "planners", "baselines", "tests", "benchmarks", "soak", "configs", "pyproject.toml")
 LONGEST = 3600.0
 """s, for the tests of one error: kernels are compiled anew for each."""
-CAUGHT, PASSED = 1, 0
+FAILED, PASSED = 1, 0
 """Exit codes of pytest: a test failed, none did."""
 
 
@@ -131,29 +134,34 @@ BUGS: Mapping[str, Bug] = {
 
 
 def bug_tasks(count: int, code: str) -> list[dict[str, Any]]:
-    """The first so many errors."""
-    return [{"part": "bugs", "bug": name, "code": code} for name in list(BUGS)[:count]]
+    """The first so many errors, and before them none, for all of their tests."""
+    names = list(BUGS)[:count]
+    tests = list(dict.fromkeys(test for name in names for test in BUGS[name].tests))
+    none = {"part": "bugs", "bug": "", "tests": tests, "code": code}
+    return [none, *({"part": "bugs", "bug": name, "code": code} for name in names)]
 
 
 def planted(task: WorkItem) -> Row:
-    """Which test notices an error."""
-    bug = BUGS[task["bug"]]
+    """Which test notices an error; where there is none, that no test does."""
+    bug = BUGS.get(task["bug"])
+    tests = task["tests"] if bug is None else bug.tests
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "copy"
         for name in COPIED:
             put = shutil.copytree if (ROOT / name).is_dir() else shutil.copy2
             copy.mkdir(exist_ok=True)
             put(ROOT / name, copy / name)
-        file = copy / bug.file
-        source = file.read_text("utf-8")
-        if source.count(bug.sound) != 1:
-            return {
-                "outcome": "unsound",
-                "detail": f"{bug.file}: {bug.sound!r} stands there {source.count(bug.sound)} times",
-            }
-        file.write_text(source.replace(bug.sound, bug.wrong), "utf-8")
+        if bug is not None:
+            file = copy / bug.file
+            source = file.read_text("utf-8")
+            if source.count(bug.sound) != 1:
+                return {
+                    "outcome": "unsound",
+                    "detail": f"{bug.file}: {bug.sound!r} stands there {source.count(bug.sound)} times",
+                }
+            file.write_text(source.replace(bug.sound, bug.wrong), "utf-8")
         environment = os.environ | {"PYTHONPATH": str(copy), "NUMBA_CACHE_DIR": str(Path(folder) / "kernels")}
-        command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *bug.tests]
+        command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *tests]
         try:
             done = subprocess.run(
                 command,
@@ -166,8 +174,11 @@ def planted(task: WorkItem) -> Row:
             )
         except subprocess.TimeoutExpired:
             return {"outcome": "time", "detail": f"the tests took more than {LONGEST:.0f} s"}
-    said = [line for line in done.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
-    if done.returncode == CAUGHT and said:
-        return {"outcome": "caught", "detail": said[0].split(" - ")[0].removeprefix("FAILED ")}
+    said = [line.split(" - ")[0] for line in done.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
+    failed = done.returncode == FAILED and bool(said) and said[0].startswith("FAILED")
+    if bug is None and done.returncode == PASSED:
+        return {"outcome": "passed", "detail": ""}
+    if bug is not None and failed:
+        return {"outcome": "caught", "detail": said[0].removeprefix("FAILED ")}
     what = "no test noticed" if done.returncode == PASSED else f"pytest ended with {done.returncode}"
-    return {"outcome": "unsound", "detail": what}
+    return {"outcome": "unsound", "detail": ": ".join([what, *said[:1]])}

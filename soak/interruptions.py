@@ -19,12 +19,15 @@ from typing import Any
 
 import numpy as np
 import yaml
+from PIL import Image, ImageSequence
 
 from baselines.jobs.journal import Journal, Row, WorkItem
 
 RETRACT = [sys.executable, "-c", "from baselines.cli import main; import sys; sys.exit(main())"]
 LONGEST = 1800.0
 """s, for a command that nobody stops."""
+PATIENCE = 120.0
+"""s that a command may go on for once it is interrupted."""
 ROOM = 4096
 """bytes, at which a file may not grow any more where the disk is full"""
 ENDS = ("interrupt", "kill", "full disk")
@@ -105,8 +108,12 @@ def stopped(task: WorkItem) -> Row:
             return _wrong(f"undisturbed it ends with {code}: {errors}")
         after = float(rng.uniform(0.05, 0.95)) * took
         arguments = _filled(command.arguments, cut, before)
-        code, errors = _run(arguments, cut, task["end"], after)
-        row = {"after": after / took, "exit": code}
+        row: Row = {"after": after / took, "exit": None}
+        try:
+            code, errors = _run(arguments, cut, task["end"], after)
+        except subprocess.TimeoutExpired:
+            return _wrong(f"{task['end']}: still at work {PATIENCE:.0f} s later") | row
+        row["exit"] = code
         if fault := _said(task["end"], code, errors) or _half_written(cut):
             return _wrong(fault) | row
         if command.again and (cut / "run" / "run.json").exists():
@@ -130,9 +137,12 @@ def _filled(arguments: tuple[str, ...], out: Path, before: Path) -> list[str]:
 
 
 def _run(arguments: list[str], out: Path, end: str = "", after: float = LONGEST) -> tuple[int, str]:
-    """Exit code and what was said on standard error; data sets are kept in the folder too."""
+    """Exit code and what was said on standard error; data sets are kept in the folder too.
+
+    Raises TimeoutExpired where it does not end when it is stopped.
+    """
     environment = os.environ | {"MINARI_DATASETS_PATH": str(out / "data")}
-    process = subprocess.Popen(
+    with subprocess.Popen(
         [*RETRACT, *arguments],
         env=environment,
         stdout=subprocess.DEVNULL,
@@ -140,17 +150,15 @@ def _run(arguments: list[str], out: Path, end: str = "", after: float = LONGEST)
         text=True,
         start_new_session=True,
         preexec_fn=_no_room if end == "full disk" else None,
-    )
-    try:
+    ) as process:
         try:
             _, errors = process.communicate(timeout=after if end in ("interrupt", "kill") else LONGEST)
         except subprocess.TimeoutExpired:
             os.killpg(process.pid, signal.SIGINT if end == "interrupt" else signal.SIGKILL)
-            _, errors = process.communicate(timeout=120)
-    finally:
-        with suppress(ProcessLookupError):  # what it began, where it hangs
-            os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
+            _, errors = process.communicate(timeout=PATIENCE)
+        finally:
+            with suppress(ProcessLookupError):  # what it began, where it hangs
+                os.killpg(process.pid, signal.SIGKILL)
     return process.returncode, errors.strip()
 
 
@@ -179,23 +187,45 @@ def _half_written(folder: Path) -> str:
             if path.suffix == ".jsonl":
                 Journal(path)
             elif path.suffix in READERS and not path.name.startswith("."):
-                READERS[path.suffix](path.read_text("utf-8"))
-        except ValueError as problem:
+                READERS[path.suffix](path)
+        except UNREADABLE as problem:
             return f"{path.name}: {problem}"
     return ""
 
 
-def _page(text: str) -> None:
-    if not text.rstrip().endswith("</html>"):
+def _page(path: Path) -> None:
+    if not path.read_text("utf-8").rstrip().endswith("</html>"):
         raise ValueError("it has no end")
 
 
-READERS: Mapping[str, Callable[[str], object]] = {
-    ".json": json.loads,
-    ".yaml": yaml.safe_load,
-    ".csv": lambda text: list(csv.reader(text.splitlines(), strict=True)),
+def _table(path: Path) -> None:
+    text = path.read_text("utf-8")
+    columns = {len(row) for row in csv.reader(text.splitlines(keepends=True), strict=True)}
+    if not text.endswith("\n") or len(columns) > 1:
+        raise ValueError("it has no end")
+
+
+def _picture(path: Path) -> None:
+    """Every frame; Pillow takes a film that ends too soon for a shorter one."""
+    with Image.open(path) as picture:
+        picture.verify()
+    with Image.open(path) as picture:
+        for frame in ImageSequence.Iterator(picture):
+            frame.load()
+    if path.suffix == ".gif" and not path.read_bytes().endswith(b";"):
+        raise ValueError("it has no end")
+
+
+READERS: Mapping[str, Callable[[Path], object]] = {
+    ".json": lambda path: json.loads(path.read_text("utf-8")),
+    ".yaml": lambda path: yaml.safe_load(path.read_text("utf-8")),
+    ".csv": _table,
     ".html": _page,
+    ".png": _picture,
+    ".gif": _picture,
 }
+UNREADABLE = (ValueError, csv.Error, yaml.YAMLError, OSError, SyntaxError)
+"""What they raise; the last two are Pillow's."""
 
 
 def _different(whole: Path, cut: Path, timing: tuple[str, ...]) -> list[str]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import inspect
 import re
+import shutil
+import subprocess
 from itertools import dropwhile, takewhile
 from pathlib import Path
 from typing import Any
@@ -127,6 +129,32 @@ def test_the_commands_that_sources_name_exist(folder: str) -> None:
     for source in sorted((ROOT / folder).rglob("*.py")):
         for module in re.findall(r"python -m ((?:\w+\.)+\w+)", source.read_text("utf-8")):
             assert (ROOT / f"{module.replace('.', '/')}.py").exists(), f"{source}: {module}"
+
+
+def made(*arguments: str) -> subprocess.CompletedProcess[str]:
+    """What make would do."""
+    if shutil.which("make") is None:
+        pytest.skip("make is not installed")
+    return subprocess.run(["make", "-n", *arguments], cwd=ROOT, capture_output=True, text=True, check=False)
+
+
+def test_what_measures_is_run_or_left_out_by_name() -> None:
+    """As modules, for they import each other."""
+    scripts = {p.stem for p in (ROOT / "benchmarks").glob("*.py") if "__main__" in p.read_text("utf-8")}
+    said = made("bench").stdout
+    run = re.findall(r"for name in (.*?);", said, re.DOTALL)[0].replace("\\", "").split()
+    left_out = re.findall(r"left out: (.*?);", said)[0].split(", ")
+    assert sorted([*run, *left_out]) == sorted(scripts)
+    assert "python -m benchmarks.$name" in said
+
+
+def test_results_go_where_make_is_told() -> None:
+    assert ".venv/bin/retract compare ten_veins --out out/\n" in made("demo").stdout  # as README says
+    for folder in ("/tmp/x", "/tmp/x/"):
+        assert "-m soak --out /tmp/x/soak" in made("soak", f"OUT={folder}").stdout
+    for spaced in ("VENV=my env", "OUT=my results"):
+        refused = made("clean", spaced)
+        assert refused.returncode != 0 and "allowed are paths without spaces" in refused.stderr
 
 
 def test_what_lives_where_names_every_folder() -> None:

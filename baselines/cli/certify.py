@@ -13,6 +13,7 @@ from baselines.cli.console import (
     NotCertified,
     announce_compilation,
     check_no_folder,
+    check_not_read,
     exit_codes,
     usable_folder,
     writing,
@@ -83,8 +84,11 @@ def certify_command(
         if out is not None:
             stack.enter_context(usable_folder(out.parent))
             check_no_folder(out)
+            check_not_read(out, plan_file)
             if is_worst_case(out):
                 raise BadInput(f"--out = {out}, allowed another name: files of worst cases are called so")
+            if robust and is_worst_case(plan_file) and plan_file.resolve().parent == out.resolve().parent:
+                raise BadInput(f"--out = {out}, allowed another folder: worst cases would replace the plan")
         asked = _asked(str(check), said, robust)
         motion = _in_time(str(check), said, scene, speed)
         announce_compilation("fem", *(["planning"] if asked else []))

@@ -19,11 +19,12 @@ from baselines.cli.console import (
     writing,
 )
 from baselines.cli.plan import forget_plan, write_plan
-from baselines.cli.robust import check_stated, hurts, percent, stated
+from baselines.cli.robust import check_stated, hurts, stated
 from baselines.cli.verdict import Clock, ResolutionOption
 from baselines.cli.view import PAGE, page_of, write_page
 from baselines.jobs.files import written_whole
 from baselines.pictures.painter import Painter
+from baselines.pictures.words import percent
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -92,8 +93,8 @@ def compare_command(
                     for name, data in files.items():
                         all_or_none.enter_context(written_whole(folder / name)).write_bytes(data)
                 written = [*(folder / name for name in files), *written]
-            for name, *_ in METHODS:
-                if name not in plans:  # of an earlier run: no plan of this scene
+            for name in ("", *(name for name, *_ in METHODS)):  # of an earlier run: no plan of this scene
+                if name not in plans:
                     forget_plan(folder / name)
             for name, plan in plans.items():
                 write_plan(plan, stack.enter_context(usable_folder(folder / name)))

@@ -34,6 +34,12 @@ def check_no_folder(file: Path) -> None:
         raise BadInput(f"{file}: is a folder")
 
 
+def check_not_read(file: Path, *read: Path) -> None:
+    """Raises BadInput for a file to be written that is one of those that are read."""
+    if any(file.resolve() == one.resolve() for one in read):
+        raise BadInput(f"--out = {file}, allowed another file: this one is read, and would be lost")
+
+
 @contextmanager
 def usable_folder(path: Path) -> Iterator[Path]:
     """`output_folder`, its own errors as BadInput; those of the block pass."""

@@ -29,7 +29,7 @@ class Under:
         self._told = time.monotonic()
         self._line = Progress(
             SpinnerColumn(),
-            TextColumn("{task.description}"),
+            TextColumn("{task.description}", markup=False),
             TimeElapsedColumn(),
             console=self.console,
             transient=True,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Collection, Iterator
 from pathlib import Path
@@ -12,6 +11,7 @@ import typer
 
 from baselines.cli.console import BadInput
 from baselines.cli.words import FAILS, UNKNOWN
+from baselines.pictures.words import percent
 
 if TYPE_CHECKING:
     from planners.certify import Certificate, Robust
@@ -77,15 +77,6 @@ def told(certificate: Certificate) -> list[str]:
     if hurting := [line for line, _ in zip(hurts(certificate), range(NAMED), strict=False)]:
         lines.append("  what hurts most: " + ", then ".join(hurting))
     return lines
-
-
-def percent(part: float) -> str:
-    """A part, rounded up to two digits so that "at most" stays true: 0.87 %."""
-    if part <= 0:
-        return "0 %"
-    digits = 1 - math.floor(math.log10(100 * part))
-    up = math.ceil(100 * part * 10**digits - 1e-9) / 10**digits
-    return f"{up:.{max(digits, 0)}f}".rstrip("0").rstrip(".") + " %" if digits > 0 else f"{up:.0f} %"
 
 
 def hurts(certificate: Certificate) -> Iterator[str]:

@@ -119,7 +119,10 @@ def _candidates(
         kind = str(one.get("path", ""))
         moves = rod and known and kind in PATHS and sum(row.motion is not None for row in rows) < MOST_MOTIONS
         made = PATHS[kind](scene, at) if moves else None
-        rows.append(_candidate(k, scene, one, at, made, at == grasp and one.get("reason") == "ok"))
+        try:
+            rows.append(_candidate(k, scene, one, at, made, at == grasp and one.get("reason") == "ok"))
+        except OverflowError as problem:  # a whole number may be too long for a float
+            raise ValueError(f"plan.candidates[{k}]: {problem}") from None
         on_step()
     if not scene.neo_hookean:
         note = "Only their numbers are kept: the rod does not know this tissue's law."
@@ -181,13 +184,13 @@ def _grasp_of(one: Mapping[str, Any], field: str) -> Grasp:
         return Grasp(float(said["x"]), score=math.nan if score is None else float(score), **firmness)
     except KeyError as missing:
         raise ValueError(f"{field}.grasp: {missing.args[0]} is missing") from None
-    except (TypeError, ValueError) as problem:
+    except (TypeError, ValueError, OverflowError) as problem:
         raise ValueError(f"{field}.grasp: {problem}") from None
 
 
 def _number(value: object, factor: float, form: str) -> str:
     if isinstance(value, int | float) and not isinstance(value, bool):
-        return format(factor * value, form).replace("-", "\N{MINUS SIGN}")
+        return format(factor * float(value), form).replace("-", "\N{MINUS SIGN}")
     return "lets go" if value == "inf" else "\N{EN DASH}"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import webbrowser
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -15,6 +16,7 @@ from baselines.cli.console import (
     NotCertified,
     announce_compilation,
     check_no_folder,
+    check_not_read,
     exit_codes,
     usable_folder,
     writing,
@@ -64,12 +66,12 @@ def view_command(
             raise BadInput(f"{len(files)} plans, allowed at most {MOST_PLANS} on a page")
         out = _place(given) if out is None else out
         check_no_folder(out)
+        check_not_read(out, *files, *(file.with_name("certificate.json") for file in files))
         with clock.phase("imports"):
             from baselines.cli.certify import read_plan
             from baselines.pictures.page import page
-            from retract_env.config import read_json
         stack.enter_context(usable_folder(out.parent))
-        read = [(file, *read_plan(file), read_json(file)) for file in files]
+        read = [(file, *read_plan(file), _data(file)) for file in files]
         announce_compilation("fem")
         plans, ranks = [], []
         for file, scene, grasp, path, data in read:
@@ -97,6 +99,19 @@ def view_command(
         typer.echo(clock.summary())
         if browse:
             webbrowser.open(out.resolve().as_uri())
+
+
+def _data(file: Path) -> dict[str, Any]:
+    """All that a plan's file says. Raises BadInput for half a character, which JSON may hold and no page."""
+    from retract_env.config import read_json
+
+    data: dict[str, Any] = read_json(file)
+    try:
+        json.dumps(data, ensure_ascii=False).encode()
+    except UnicodeEncodeError as problem:
+        half = problem.object[problem.start]
+        raise BadInput(f"{file}: {half!r} in a text, allowed whole characters") from None
+    return data
 
 
 def plan_files(given: Path) -> list[Path]:

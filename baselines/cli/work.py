@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
@@ -69,7 +70,7 @@ def run_with_bar(
 
 def command_line() -> str:
     """The command as it was given, for the files that it writes."""
-    return " ".join(["retract", *sys.argv[1:]])
+    return shlex.join(["retract", *sys.argv[1:]])
 
 
 @contextmanager

@@ -102,7 +102,7 @@ def written(options: argparse.Namespace, journal: Path) -> list[Path]:
     every = robustness_experiments(STANDARD, FLAPS, options.draws, options.flap_draws)
     keys = [key_of(one.work(options.resolution)) for one in every]
     rows = [{**one.label, **known[key]} for one, key in zip(every, keys, strict=True) if key in known]
-    return write(STUDY, rows, options.out, options.resolution) if rows else []
+    return write(STUDY, rows, options.out, options.resolution, len(every)) if rows else []
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

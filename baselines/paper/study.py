@@ -80,8 +80,14 @@ def new_figure(width: float, height: float) -> Figure:
     return figure
 
 
-def write(study: Study, rows: Sequence[Row], folder: Path, resolution: str) -> list[Path]:
-    """Write NAME.csv, NAME.png and NAME.md, all or none; returns their paths. Raises OSError."""
+def write(study: Study, rows: Sequence[Row], folder: Path, resolution: str, of: int = 0) -> list[Path]:
+    """Write NAME.csv, NAME.png and NAME.md, all or none; returns their paths. Raises OSError.
+
+    of: how many rows the study has, where these may not be all; the page says so then.
+    """
+    unfinished = ""
+    if len(rows) < of:
+        unfinished = f"Unfinished: {len(rows):,} of {of:,} rows are there, and what is said is of these."
     with matplotlib.rc_context(STYLE):
         report = study.report(rows)
         picture = io.BytesIO()
@@ -89,7 +95,7 @@ def write(study: Study, rows: Sequence[Row], folder: Path, resolution: str) -> l
     contents = {
         "csv": table_text(report.table).encode(),
         "png": picture.getvalue(),
-        "md": page(study, report, resolution).encode(),
+        "md": page(study, report, resolution, unfinished).encode(),
     }
     paths = {ending: folder / f"{study.name}.{ending}" for ending in contents}
     with ExitStack() as all_or_none:
@@ -108,16 +114,17 @@ def table_text(table: Sequence[Mapping[str, Any]]) -> str:
     return text.getvalue()
 
 
-def page(study: Study, report: Report, resolution: str) -> str:
-    """The text, in Markdown."""
+def page(study: Study, report: Report, resolution: str, unfinished: str = "") -> str:
+    """The text, in Markdown; unfinished: how many rows there are, where these are not all."""
     claims = [f"| {c.said} | {c.found} | {c.agrees} |" for c in report.claims]
     parts = [
         f"# {report.title}",
         report.question,
+        *([unfinished] if unfinished else []),
         f"![{report.title}]({study.name}.png)",
         "\n".join(["| said | found | agrees |", "| --- | --- | --- |", *claims]),
         *report.notes,
-        f"Data: [{study.name}.csv]({study.name}.csv). Made by "
+        f"Data: [{study.name}.csv]({study.name}.csv). Made {'of what there is of' if unfinished else 'by'} "
         f"`retract reproduce {study.name} --resolution {resolution}`, retract {code_version()}.",
     ]
     return "\n\n".join(parts) + "\n"

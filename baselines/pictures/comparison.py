@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -30,6 +30,7 @@ from baselines.pictures.drawing import (
     strain_map,
     view_limits,
 )
+from baselines.pictures.words import percent
 from retract_env.drawing.palette import GREY, INK, LIMIT, METHODS
 from retract_env.drawing.shapes import SectionTopology
 
@@ -123,21 +124,25 @@ def comparison_figure(scene: Scene, compared: Sequence[Compared]) -> Figure:
     names, gap = 1.45, 0.55
     each = (PAGE - 2 * EDGE - 2 * gap) / 3
     rows = (
-        ("Strain of the worst 1 % of the tissue", "max_strain", limit, ".3f"),
-        ("Friction needed to hold", "required_friction", scene.limits.friction, ".2f"),
-        ("May fail in at most so many of 100", "bound", asked, ".3g"),
+        ("Strain of the worst 1 % of the tissue", "max_strain", limit, "{:.3f}".format),
+        ("Friction needed to hold", "required_friction", scene.limits.friction, "{:.2f}".format),
+        ("May fail in at most so many of 100", "bound", asked, _of_100),
     )
-    for k, (said, name, allowed, form) in enumerate(rows):
+    for k, (said, name, allowed, text) in enumerate(rows):
         axes = panel(f"bars {k}", EDGE + k * (each + gap) + names, 0.4, each - names, BARS)
-        _draw_bars(axes, said, compared, [_of(one, name) for one in compared], allowed, form)
+        _draw_bars(axes, said, compared, [_of(one, name) for one in compared], allowed, text)
     return figure
 
 
 def _of(one: Compared, name: str) -> float:
     """A number of the certificate, or the bound, %; nan where there is none."""
     if name == "bound":
-        return one.bound if math.isnan(one.bound) else math.ceil(1e4 * one.bound - 1e-9) / 100  # "at most"
+        return 100 * one.bound
     return math.nan if one.plan is None else float(getattr(one.plan.certificate, name))
+
+
+def _of_100(value: float) -> str:
+    return percent(value / 100).removesuffix(" %")
 
 
 def _colour(i: int) -> str:
@@ -174,9 +179,14 @@ def _draw_end(axes: Axes, scene: Scene, one: Compared, limits: tuple[float, floa
 
 
 def _draw_bars(
-    axes: Axes, title: str, compared: Sequence[Compared], values: Sequence[float], limit: float, form: str
+    axes: Axes,
+    title: str,
+    compared: Sequence[Compared],
+    values: Sequence[float],
+    limit: float,
+    text: Callable[[float], str],
 ) -> None:
-    """One bar a method, and the limit."""
+    """One bar a method, and the limit; text: a value as it stands beside its bar."""
     axes.set_title(title, fontsize=11, weight="bold")
     where = range(len(compared) - 1, -1, -1)
     longest = max([*(v for v in (*values, limit) if math.isfinite(v)), 0.0]) or 1.0
@@ -186,7 +196,7 @@ def _draw_bars(
     for y, value, length in zip(where, values, lengths, strict=True):
         inside = length > 0.6 * longest  # where the limit's line would cross the number
         axes.annotate(
-            f"{value:{form}}" if math.isfinite(value) else "no plan", (length, y),
+            text(value) if math.isfinite(value) else "no plan", (length, y),
             xytext=(-5 if inside else 5, 0), textcoords="offset points", ha="right" if inside else "left",
             va="center", color="white" if inside else INK, zorder=4, weight="bold",
         )  # fmt: skip

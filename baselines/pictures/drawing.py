@@ -55,6 +55,7 @@ KPA_PER_MM = 1e-6
 
 STYLE: Any = {
     "font.family": "DejaVu Sans", "font.size": 9.5, "text.color": INK, "text.usetex": False,
+    "text.parse_math": False,  # a $ in a scene's name is one
     "axes.edgecolor": GREY, "axes.labelcolor": INK, "axes.linewidth": 0.8, "axes.unicode_minus": True,
     "axes.spines.top": False, "axes.spines.right": False,
     "axes.titlelocation": "left", "axes.titlesize": 9.5, "axes.titlecolor": INK,
@@ -124,7 +125,7 @@ class JawArtist:
         for patch in (*self.fingers, *self.pads):
             axes.add_patch(patch)
         above = Rectangle((-1e4, 0.0), 2e4, 1e4, transform=axes.transData)
-        for finger in self.fingers:  # the bed hides what reaches below it
+        for finger in self.fingers if scene.bed else ():  # the bed hides what reaches below it
             finger.set_clip_path(above)
         self.artists = (*self.fingers, *self.pads)
 
@@ -152,10 +153,11 @@ def view_limits(scene: Scene, frames: Sequence[TissueState]) -> tuple[float, flo
     shapes = [np.asarray(f.points) for f in frames] + [np.asarray(f.jaws).reshape(2, 2) for f in frames]
     spread = np.vstack([*shapes, [(-tissue.length, tissue.height)]])
     spread = spread[np.isfinite(spread).all(axis=1)] * MM
-    (left, _), (right, top) = spread.min(axis=0), spread.max(axis=0)
+    (left, low), (right, top) = spread.min(axis=0), spread.max(axis=0)
     length = tissue.length * MM
     left, right = left - MARGIN * length, max(right + 0.02 * length, WALL * length)
-    return left, right, -BED * length, max(top + 0.1 * length, 0.45 * (right - left))
+    ground = -BED * length if scene.bed else min(-BED * length, low - MARGIN * length)
+    return left, right, ground, max(top + 0.1 * length, 0.45 * (right - left))
 
 
 def draw_surroundings(
@@ -170,7 +172,7 @@ def draw_surroundings(
     axes.set_xlim(x0, x1)
     axes.set_ylim(y0, y1)
     axes.set_aspect("equal")
-    axes.set_yticks([t for t in axes.get_yticks() if 0 <= t <= y1])
+    axes.set_yticks([t for t in axes.get_yticks() if (0 if scene.bed else y0) <= t <= y1])
     line, height, length = scene.line_of_sight, scene.tissue.height * MM, scene.tissue.length * MM
     camera, target = np.array(line.camera) * MM, np.array(line.target) * MM
     distance = float(np.linalg.norm(camera - target))
@@ -180,9 +182,10 @@ def draw_surroundings(
     far = 1e2 * length
     wedge = np.array([target, target + far * away, (x0 - far, far), (x0 - far, 0.0)])
     axes.add_patch(Polygon(wedge, facecolor=WEDGE, edgecolor="none", zorder=0.5))
-    axes.add_patch(Rectangle((x0, y0), x1 - x0, -y0, zorder=2.4, **HATCHED))
+    if scene.bed:
+        axes.add_patch(Rectangle((x0, y0), x1 - x0, -y0, zorder=2.4, **HATCHED))
+        axes.plot([x0, x1], [0, 0], color=GREY, linewidth=1.0, zorder=2.5)
     axes.add_patch(Rectangle((0, 0), x1, height, zorder=2.4, **HATCHED))
-    axes.plot([x0, x1], [0, 0], color=GREY, linewidth=1.0, zorder=2.5)
     seen = np.array([(-length, target[0]), (-0.008 * length, -0.008 * length)])
     axes.plot(*seen, color=SIGHT, linewidth=4.0, solid_capstyle="butt", zorder=2.6)
     bed_note(axes, float(seen[0].mean()), "area of interest", SIGHT)
@@ -242,13 +245,14 @@ def draw_histories(
     friction = np.array([needed_friction(f) for f in frames])
     clearance = np.array([f.clearance for f in frames]) * MM
     friction_limit = certificate.friction_limit
+    asked = certificate.clearance_limit * MM
     top = 1.3 * max(friction_limit, np.max(friction, where=np.isfinite(friction), initial=0.0))
     lifted = np.isinf(friction)
     drawn = np.where(lifted, top, friction)
     rows = (
         ("Strain of the worst 1 %", strain, certificate.strain_limit, f"limit {certificate.strain_limit:g}"),
         ("Friction needed to hold", drawn, friction_limit, f"limit {friction_limit:g}"),
-        ("Clearance to line AB, mm", clearance, 0.0, "in view above 0"),
+        ("Clearance to line AB, mm", clearance, asked, f"in view above {asked:g}"),
     )
     turn = float(steps[squeeze_end(frames)])
     for ax, (title, values, limit, text) in zip(axes, rows, strict=True):

@@ -50,16 +50,25 @@ def draw(rows: Sequence[Row], standard: Sequence[str]) -> Figure:
     several = sorted(flaps) if flaps else list(standard)
     _panel(main, [row for row in rows if row["scene"] in several], several=True)
     main.set_xlim(0.0, 1.1 * max((r["max_strain"] for r in rows if r["reason"] == "ok"), default=0.5))
-    where = f"{len(flaps)} random test flaps" if flaps else "the standard scenes"
+    where = "random test flaps" if flaps else "the standard scenes"
     main.set_title(f"{where}: median strain, and part of all draws that fail", fontsize=11)
     shown = {row["method"] for row in rows}
-    handles = [_handle(*look) for method, look in LOOKS.items() if method in shown]
+    there = [row for row in rows if row["scene"] in several]
+    handles = [
+        _handle(f"{name}: {len(_judged(there, method))}", marker, colour, filled)
+        for method, (name, marker, colour, filled) in LOOKS.items()
+        if method in shown
+    ]
+    closed = [len(_ladders(there, f"{path}_lightest")) for path in ("ctc", "circular")]
     for words, colour, width in (
-        ("frontier: swift, planned for\n0 to 1.25 times the prior", VALUE, 2.0),
-        ("CTC (circular: green), closed by\n0.2 to 1.6 times Eq. 5", LIMIT, 1.2),
+        (f"frontier: swift, planned for\n0 to 1.25 times the prior: {len(_asked(there))}", VALUE, 2.0),
+        (f"CTC (circular: green), closed by\n0.2 to 1.6 times Eq. 5: {closed[0]} ({closed[1]})", LIMIT, 1.2),
     ):
         handles.append(Line2D([], [], color=colour, linewidth=width, label=words))
-    main.legend(handles=handles, frameon=False, loc="upper right", fontsize=8.5)
+    main.legend(
+        handles=handles, title=f"rests on so many {'flaps' if flaps else 'scenes'}", frameon=False,
+        loc="upper right", fontsize=8.5, title_fontsize=8.5,
+    )  # fmt: skip
     main.text(
         0.015, 0.06, "better: less strain,\nfewer failures", transform=main.transAxes, color=GREY, fontsize=9,
         path_effects=HALO,
@@ -116,9 +125,14 @@ def _panel(axes: Axes, rows: Sequence[Row], several: bool) -> None:
                 linewidth=2.0 if method == "swift" else 1.2, marker=".", markersize=4,
             )  # fmt: skip
     for method, (_, *look) in LOOKS.items():
-        mine = [row for row in planned(of_method(rows, method)).values() if row["draws"]]
+        mine = _judged(rows, method)
         if mine:
             _point(axes, mine, look, several)
+
+
+def _judged(rows: Sequence[Row], method: str) -> list[Row]:
+    """The rows that a method's point rests on."""
+    return [row for row in planned(of_method(rows, method)).values() if row["draws"]]
 
 
 def _point(axes: Axes, rows: Sequence[Row], look: Sequence[Any], several: bool) -> None:
@@ -141,18 +155,32 @@ def _part(value: float, _: int) -> str:
     return "none" if value < LOWEST else f"{100 * value:g} %"
 
 
+def _asked(rows: Sequence[Row]) -> dict[str, dict[float, Row]]:
+    """What `swift` plans for each demand, by the scenes that have all of them."""
+    mine = [r for r in rows if r["method"] in ("swift", "swift_exact")]
+    demands = {r["demand"] for r in mine}
+    found: dict[str, dict[float, Row]] = {}
+    for row in mine:
+        if row["reason"] == "ok":
+            found.setdefault(row["scene"], {})[row["demand"]] = row
+    return {scene: plans for scene, plans in found.items() if plans.keys() == demands}
+
+
 def _frontier(rows: Sequence[Row]) -> Array:
     """(n, 2) strain and part that fails of `swift` at each demand, over the scenes that have all of them."""
-    mine = [r for r in rows if r["method"] in ("swift", "swift_exact")]
-    demands = sorted({r["demand"] for r in mine})
-    found = {(r["scene"], r["demand"]): r for r in mine if r["reason"] == "ok"}
-    asked = {r["scene"] for r in mine if all((r["scene"], d) in found for d in demands)}
-    return _curve(demands, lambda d: [found[scene, d] for scene in asked], "by_rod")
+    asked = _asked(rows)
+    demands = sorted({demand for plans in asked.values() for demand in plans})
+    return _curve(demands, lambda d: [plans[d] for plans in asked.values()], "by_rod")
+
+
+def _ladders(rows: Sequence[Row], method: str) -> list[Any]:
+    """What was tried with a path on each scene."""
+    return [row["ladder"] for row in rows if row["method"] == method and row.get("ladder")]
 
 
 def _ladder(rows: Sequence[Row], method: str) -> Array:
     """(n, 2) the same of a path at each part of Eq. 5's compression that most scenes hold with."""
-    ladders = [row["ladder"] for row in rows if row["method"] == method and row.get("ladder")]
+    ladders = _ladders(rows, method)
     parts = sorted({rung["part"] for ladder in ladders for rung in ladder})
     rungs = {
         part: [r for ladder in ladders for r in ladder if r["part"] == part and r["reason"] == "ok"]

@@ -260,8 +260,10 @@ class Game:
             strain = self._certificate["max_strain"]
         compared = words.compared(strain, self.known, self._waiting)
         keys: tuple[str, ...] = words.HELP[at]
+        pad = words.PAD_HELP[at]
         if self._deal is None:
             keys = tuple(line.replace("     N: new flap", "") for line in keys)
+            pad = pad.replace("; Y, new flap", "")
         if phase is Phase.ENDED:
             good = session.success
             headline = words.IN_VIEW if good else words.ENDS[session.failure]
@@ -272,7 +274,7 @@ class Game:
                 good = good and self._certificate["certified"]
             else:
                 detail = self._trouble or self._note
-            return Lines(self._scene, headline, detail, compared, keys, at, good)
+            return Lines(self._scene, headline, detail, compared, keys, pad, good)
         headline = {Phase.GRASP: words.ASKS, Phase.MOVE: words.MOVES, Phase.BACK: words.GOES_BACK}[phase]
         detail = self._note or (words.HINT if phase is Phase.MOVE else "")
         if phase is Phase.GRASP and not detail:
@@ -282,7 +284,7 @@ class Game:
                 f"{1e3 * grasp.compression:.2f} of {1e3 * height:.1f} mm. Too light a grip slips, too firm "
                 "a one strains."
             )
-        return Lines(self._scene, headline, detail, compared, keys, at)
+        return Lines(self._scene, headline, detail, compared, keys, pad)
 
     @property
     def _scene(self) -> str:

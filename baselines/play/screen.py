@@ -9,7 +9,6 @@ import pygame
 
 from baselines.play.game import Game
 from baselines.play.session import Phase
-from baselines.play.words import PAD_HELP
 from retract_env.drawing.lettering import Lettering
 from retract_env.drawing.palette import GREY, GROUND, HATCH, INK, LIMIT, SIGHT, VALUE, rgb
 from retract_env.drawing.renderer import SectionRenderer, laid_out
@@ -75,7 +74,7 @@ class Screen:
         slow = f"{frames:.0f} frames/s     " if frames < SLOW_BELOW else ""
         keys = lines.keys
         if has_pad:
-            keys = "     ".join(part for part in keys if part), PAD_HELP[lines.at]
+            keys = "     ".join(part for part in keys if part), lines.pad
         colour = {None: INK, True: SIGHT, False: LIMIT}[lines.good]
         for text, letters, row, shade in (
             (lines.headline, self._large, 25, colour),

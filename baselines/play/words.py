@@ -55,7 +55,7 @@ PAD_HELP = {
     "ended": "gamepad: X, restart; Y, new flap",
     "broken": "gamepad: B, take back; X, restart; Y, new flap",
 }
-"""The second line where there is a gamepad."""
+"""The second line where there is a gamepad, likewise."""
 
 
 @dataclass(frozen=True)
@@ -67,8 +67,8 @@ class Lines:
     detail: str
     comparison: str
     keys: tuple[str, ...]
-    at: str
-    """what the person is at, of HELP's names"""
+    pad: str
+    """the second line of keys where there is a gamepad"""
     good: bool | None = None
     """whether the headline is good news; None: neither"""
 

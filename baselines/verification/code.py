@@ -110,7 +110,7 @@ def manufactured_order(resolution: str, gradient: bool) -> Row:  # noqa: ARG001
 
 
 def light_cantilever(resolution: str) -> Row:  # noqa: ARG001
-    """Droop under a hundredth of a thousandth of its weight against Timoshenko's beam, relative."""
+    """Droop under a thousandth of its weight against Timoshenko's beam, relative."""
     scene = flap(modulus=600e3, poisson=0.0, gravity=0.01, bed=False)
     drop = limit(tip_drops(scene, cells=10, levels=3))
     return most(abs(drop / beam_drop(scene) - 1), (HEIGHT / LENGTH) ** 3)

@@ -84,8 +84,9 @@ def gauges_of(scene: Scene) -> tuple[Gauge, Gauge, Gauge]:
         "friction needed", needed_friction, coefficient, 0.0, ROOM * limits.friction, limits.friction,
         f"limit {limits.friction:g}",
     )  # fmt: skip
+    highest = max(-0.33 * lying, ROOM * limits.clearance)
     rise = Gauge(
-        "clearance", lambda s: s.clearance, in_mm, 1.1 * lying, -0.33 * lying, 0.0, "in view", True
+        "clearance", lambda s: s.clearance, in_mm, 1.1 * lying, highest, limits.clearance, "in view", True
     )  # fmt: skip
     return strain, friction, rise
 

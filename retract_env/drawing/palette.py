@@ -18,8 +18,8 @@ SIGHT, VALUE, LIMIT = "#00805f", "#0072b2", "#d55e00"
 GROUND, HATCH, HIDDEN, WEDGE = "#eceef0", "#c9ced3", "#c7ccd1", "#e3f1ec"
 SEEN_BED, UNSEEN_BED, WALL = "#a8dcc6", "#f2c6a6", "#d3d8dd"
 """In space: the area of interest in view and out of it, and the block that holds the fixed end."""
-METHODS = (GREY, VALUE, "#7d5ba6", "#009e73", "#cc79a7")
-"""Of plans or methods that are compared, in turn."""
+METHODS = (GREY, VALUE, "#7f5da8", "#009e73", "#c874a3")
+"""Of plans or methods that are compared, in turn: 3:1 or more against the page's cards, light and dark."""
 HIDDEN_VEIL = "#b4bbc2", 0.75
 """Colour and opacity of HIDDEN where what lies behind shows through: over white it is HIDDEN."""
 PALE_VALUE = "#b9d3e6"

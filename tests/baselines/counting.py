@@ -25,6 +25,18 @@ def square(task: Mapping[str, Any]) -> dict[str, Any]:
     return {"n": task["n"], "square": task["n"] ** 2}
 
 
+def fails(task: Mapping[str, Any]) -> dict[str, Any]:
+    """The first raises when the second has begun, which leaves its process' number and takes a minute."""
+    trace = Path(task["trace"])
+    if task["n"] == 0:
+        while not trace.exists():
+            time.sleep(0.02)
+        raise ValueError("a work's own")
+    trace.write_text(str(os.getpid()))
+    time.sleep(60)
+    return {}
+
+
 def tasks(folder: Path, count: int = 6, **more: Any) -> list[dict[str, Any]]:
     """Tasks that leave their traces in a folder."""
     return [{"n": n, "trace": str(folder / "trace"), **more} for n in range(count)]

@@ -50,12 +50,14 @@ async function begin() {
     if (view.plan !== plan || view.tried !== tried) return; // another one was asked for meanwhile
     const { name, colour, good, verdict } = plans[plan];
     const { title, scene = plans[plan].scene } = tried ? plans[plan].tried[tried] : plans[plan];
-    Object.assign(view, { flap, scene });
+    const shown = tried ? `${name}, ${title}` : name;
+    const found = tried ? "not certified: by the rod" : verdict;
+    Object.assign(view, { flap, scene, shown });
     view.holder.style.setProperty("--plan", colour);
     const select = view.holder.querySelector("select");
     if (select) select.value = String(plan);
     const badge = view.holder.querySelector(".badge");
-    badge.textContent = tried ? "not certified: by the rod" : verdict;
+    badge.textContent = found;
     badge.classList.toggle("bad", !good && !tried);
     badge.classList.toggle("rod", Boolean(tried));
     const note = view.holder.querySelector(".note");
@@ -64,9 +66,10 @@ async function begin() {
     if (view.stage) {
       view.stage.furnish(scene);
       view.stage.put(flap);
-      view.canvas.setAttribute("aria-label", `Three-dimensional picture of the flap, ${name}. ${verdict}.`);
+      view.canvas.setAttribute("aria-label", `Three-dimensional picture of the flap, ${shown}. ${found}.`);
     }
     rescale();
+    goTo(state.time); // which says what is shown
   }
 
   /** Colour scale and curves of what is shown now. */
@@ -99,8 +102,9 @@ async function begin() {
   // --- time
 
   function said() {
-    const lifting = state.time > squeeze;
-    const share = lifting ? (state.time - squeeze) / (1 - squeeze) : state.time / squeeze;
+    const last = Math.max(...views.map((view) => view.flap?.data.time.at(-1) ?? 0));
+    const lifting = state.time > squeeze && last > squeeze;
+    const share = lifting ? (state.time - squeeze) / (1 - squeeze) : Math.min(state.time, last) / squeeze;
     const where = `${lifting ? "lifting" : "jaws closing"}, ${Math.round(100 * share)} %`;
     const numbers = views.filter((view) => view.flap).map((view) => {
       const { time, curves } = view.flap.data;
@@ -108,7 +112,7 @@ async function begin() {
         const value = valueAt(time, curves[key], state.time);
         return value === null ? "none yet" : TEXTS[key](value);
       };
-      return `${plans[view.plan].name}: strain ${of("strain")}, friction ${of("friction")}, clearance ${of("clearance")}`;
+      return `${view.shown}: strain ${of("strain")}, friction ${of("friction")}, clearance ${of("clearance")}`;
     });
     return { where, all: [where, ...numbers].join("; ") };
   }

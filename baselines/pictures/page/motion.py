@@ -71,11 +71,9 @@ class Motion:
 
     @property
     def time(self) -> Array:
-        """(s,) where on the slider each step is, 0 to 1."""
-        last = float(self.progress[-1])
-        if last <= 1:
-            return self.progress / max(last, 1e-9) * (1.0 if len(self.progress) > 1 else 0.0)
-        lifting = SQUEEZE + (1 - SQUEEZE) * (self.progress - 1) / (last - 1)
+        """(s,) where on the slider each step is, 0 to 1; what ends while the jaws close stands still then."""
+        lifted = max(float(self.progress[-1]) - 1, 1e-9)
+        lifting = SQUEEZE + (1 - SQUEEZE) * (self.progress - 1) / lifted
         return np.where(self.progress <= 1, SQUEEZE * self.progress, lifting)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
@@ -340,6 +340,19 @@ def test_no_plan_shows_what_was_tried(
 
 
 # --- A certificate checked
+
+
+@pytest.mark.parametrize(("name", "more"), [("plan.json", ()), ("worst-1.json", ("--robust",))])
+def test_a_certificate_does_not_replace_the_plan(
+    written: Path, tmp_path: Path, name: str, more: Sequence[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nor do the worst cases beside it replace one of them that is certified."""
+    plan, before = tmp_path / name, (written / "plan.json").read_bytes()
+    plan.write_bytes(before)
+    out = tmp_path / ("certificate.json" if more else name)
+    assert main(["certify", str(plan), "--resolution", "coarse", "--out", str(out), *more]) == 2
+    assert one_error(capsys).startswith(f"--out = {out}, allowed another ")
+    assert plan.read_bytes() == before and list(tmp_path.iterdir()) == [plan]
 
 
 def checked(written: Path, certificate: Path) -> int:

@@ -14,6 +14,7 @@ import planners
 from baselines.cli import main
 from baselines.cli.compare import METHODS
 from baselines.pictures.comparison import Compared, comparison, comparison_figure
+from baselines.pictures.words import percent
 from planners.base import NoPlan, Plan
 from planners.certify import Robust, stated
 from retract_env.scene import Scene, load_scene
@@ -79,6 +80,8 @@ def test_plans_of_an_earlier_run_go_where_there_is_none_now(
     command = ["compare", "homogeneous", "--out", str(tmp_path), *["--no-pictures", "--resolution", "coarse"]]
     assert main(command) == 0
     (tmp_path / "ctc" / "mine.txt").write_text("kept")
+    for name in ("plan.json", "certificate.json", "worst-1.json"):  # of `retract plan` into the same folder
+        (tmp_path / name).write_text("of another scene")
     found = planners.plan
 
     def plan(scene: Scene, planner: str, *given: object, grip: str) -> Plan:
@@ -90,6 +93,7 @@ def test_plans_of_an_earlier_run_go_where_there_is_none_now(
     assert main(command) == 0
     assert [file.name for file in (tmp_path / "ctc").iterdir()] == ["mine.txt"]
     assert (tmp_path / "swift" / "plan.json").exists()
+    assert [file.name for file in tmp_path.iterdir() if file.is_file()] == []
 
 
 def test_swift_spares_the_tissue_and_a_grip_by_force_more(compared: list[Compared]) -> None:
@@ -112,6 +116,17 @@ def test_one_panel_a_method_and_three_rows_of_bars(scene: Scene, compared: list[
     assert comparison(scene, some).startswith(b"\x89PNG")
     with pytest.raises(ValueError, match="no method has a plan"):
         comparison(scene, some[:1])
+
+
+def test_at_most_stays_true_in_the_picture(scene: Scene, compared: list[Compared]) -> None:
+    """A bound of 12.341 % is no 12.3."""
+    plan = compared[0].plan
+    assert plan is not None and plan.certificate.robust is not None
+    certificate = replace(plan.certificate, robust=plan.certificate.robust | {"bound": 0.12341})
+    one = Compared("one", replace(plan, certificate=certificate))
+    axes: dict[Any, Any] = {a.get_label(): a for a in comparison_figure(scene, [one]).axes}
+    said = [text.get_text() for text in axes["bars 2"].texts]
+    assert said[0] == percent(0.12341).removesuffix(" %") == "13"
 
 
 def test_nothing_found_by_any_is_exit_1(

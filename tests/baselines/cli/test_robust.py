@@ -14,9 +14,10 @@ import yaml
 
 import planners
 from baselines.cli import main
-from baselines.cli.robust import hurts, percent, told, worst_cases
+from baselines.cli.robust import hurts, told, worst_cases
 from baselines.cli.shown import _worst
 from baselines.cli.verdict import margins
+from baselines.pictures.words import percent
 from planners.base import Plan, plan_from_json
 from planners.certify import Certificate, Robust
 from planners.certify import stated as stated_by

@@ -6,6 +6,7 @@ import builtins
 import json
 import os
 import re
+import shlex
 import subprocess
 import sys
 import time
@@ -15,6 +16,7 @@ import pytest
 
 import planners
 from baselines.cli import console, main
+from baselines.cli.work import command_line
 from planners.base import NoPlan
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -66,6 +68,12 @@ def test_ctrl_c_while_the_console_is_still_being_imported_is_one_word(
     monkeypatch.setattr(builtins, "__import__", interrupted)
     assert main(["--version"]) == 130
     assert capsys.readouterr().err == "interrupted\n"
+
+
+def test_the_command_that_a_file_names_can_be_given_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    given = ["benchmark", "--method", "mine:a b", "--out", "what's new"]
+    monkeypatch.setattr(sys, "argv", ["/usr/bin/retract", *given])
+    assert shlex.split(command_line()) == ["retract", *given]
 
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import io
 import json
 import re
 from pathlib import Path
 from typing import Any
 
 import pytest
+from rich.console import Console
 
 from baselines.cli import main
 from baselines.cli.plan import write_plan
+from baselines.cli.progress import Under
 from baselines.cli.view import first_pair, plan_files
 from planners.base import Candidate, Plan
 from planners.certify import Robust
 from planners.paths import circular
 from tests.baselines.pictures.pages import judged
+
+AT = {"x": -0.02, "compression": 5e-4}
 
 
 @pytest.fixture(scope="module")
@@ -73,6 +78,12 @@ def test_a_plan_without_certificate_is_certified(folder: Path, capsys: pytest.Ca
         ({"grasp": {"x": -0.02, "compression": 5e-4}}, "path.waypoints[0]"),
         ({"candidates": [{"grasp": {"x": 1.0, "compression": 1e-4}}]}, "plan.candidates[0].grasp"),
         ({"candidates": [{"path": "ctc"}]}, "plan.candidates[0].grasp: allowed is an object"),
+        (
+            {"candidates": [{"grasp": {"x": 10**400, "compression": 1e-4}}]},
+            "plan.candidates[0].grasp: int too",
+        ),
+        ({"candidates": [{"grasp": AT, "max_strain": 10**400}]}, "plan.candidates[0]: int too large"),
+        ({"planner": "\ud800"}, r"'\ud800' in a text, allowed whole characters"),
     ],
 )
 def test_a_plan_that_is_wrong_is_refused(
@@ -84,6 +95,31 @@ def test_a_plan_that_is_wrong_is_refused(
     (line,) = capsys.readouterr().err.splitlines()
     assert str(file) in line and said in line
     assert not (folder / "view.html").exists()
+
+
+def test_a_planner_may_be_called_as_rich_writes_markup(folder: Path) -> None:
+    file = folder / "plan.json"
+    file.write_text(json.dumps(json.loads(file.read_text("utf-8")) | {"planner": "a[/b]"}), "utf-8")
+    assert main(["view", str(folder), "--no-alternatives"]) == 0
+    assert data_of(folder / "view.html")["plans"][0]["name"] == "a[/b]"
+
+
+def test_a_name_in_brackets_is_shown_in_a_terminal() -> None:
+    said = io.StringIO()
+    with Under("a[/b]", Console(file=said, force_terminal=True, width=80)) as under:
+        under.step()
+    assert "a[/b], 1 increments" in said.getvalue()
+
+
+@pytest.mark.parametrize("name", ["plan.json", "linked.json", "certificate.json"])
+def test_a_page_does_not_replace_what_it_shows(
+    folder: Path, name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "linked.json").symlink_to(folder / "plan.json")
+    before = (folder / name).read_bytes()
+    assert main(["view", str(folder), "--out", str(folder / name)]) == 2
+    assert "allowed another file: this one is read" in capsys.readouterr().err
+    assert (folder / name).read_bytes() == before
 
 
 def test_a_certificate_of_another_scene_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

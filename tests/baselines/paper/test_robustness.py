@@ -148,6 +148,44 @@ def test_paths_are_compared_at_equal_survival() -> None:
     assert claim(rows, "at equal survival").found.startswith("Yes")
 
 
+def test_strains_within_two_percent_are_equal_in_word_and_verdict() -> None:
+    for circular, agrees, begins in (
+        (0.202, "no", "No: they are equal"),
+        (0.206, "yes", "Yes"),
+        (0.19, "no", "No: c"),
+    ):
+        found = claim(rows_of({**STRAINS, "circular_lightest": circular}, FIRM, 2), "at equal survival")
+        assert found.agrees == agrees and found.found.startswith(begins)
+    equal = rows_of({**STRAINS, "circular": 0.252}, FIRM, 3)
+    assert claim(equal, "closed by Eq. 5, CTC").agrees == "no"
+    next(r for r in equal if (r["scene"], r["method"]) == ("test 1", "circular"))["max_strain"] = 0.3
+    assert claim(equal, "closed by Eq. 5, CTC").agrees == "in part"
+
+
+def test_nothing_is_said_of_plans_that_hold_where_none_does() -> None:
+    rows = [row | {"holds": False} for row in rows_of(STRAINS, FIRM, 1)]
+    assert not [c for c in STUDY.report(rows).claims if "the robust statement holds" in c.said]
+
+
+def test_methods_are_compared_where_all_were_tried(tmp_path: Path) -> None:
+    """On the third flap `circular` is missing, and CTC fails: that is no difference between the two."""
+    rows = [r for r in rows_of(STRAINS, FIRM, 3) if (r["scene"], r["method"]) != ("test 2", "circular")]
+    next(r for r in rows if (r["scene"], r["method"]) == ("test 2", "ctc"))["survived"] = 0
+    found = claim(rows, "closed by Eq. 5, CTC").found
+    assert "of the 2 that both were tried on" in found and found.count("100.00 % of 100 draws") == 2
+    legends = [axes.get_legend() for axes in STUDY.report(rows).figure.axes]
+    names = [text.get_text() for legend in legends if legend is not None for text in legend.get_texts()]
+    assert "CTC, Eq. 5: 3" in names and "circular, Eq. 5: 2" in names
+
+
+@pytest.mark.parametrize("more", [0, 40])
+def test_a_page_of_some_rows_says_so(more: int, tmp_path: Path) -> None:
+    rows = rows_of(STRAINS, FIRM, 1)
+    page = write(STUDY, rows, tmp_path, "coarse", len(rows) + more)[2].read_text("utf-8")
+    assert (f"Unfinished: {len(rows)} of {len(rows) + 40} rows are there" in page) == bool(more)
+    assert ("Made by `retract reproduce robustness" in page) == (not more)
+
+
 def test_eq5_is_wise_where_light_grips_fail_and_it_is_no_firmer_than_needed() -> None:
     words = "Eq. 5 looks wiser"
     assert claim(rows_of(STRAINS, FIRM, 1), words).agrees == "in part"

@@ -298,5 +298,22 @@ def test_grips_are_compared_on_the_same_grasps() -> None:
     assert not np.isnan(strain[:, :-2]).any()
 
 
+@pytest.mark.parametrize(("light", "agrees"), [(0.279, ["no", "no"]), (0.27, ["yes", "yes"])])
+def test_grips_within_two_percent_are_equal(light: float, agrees: list[str]) -> None:
+    experiments = light_grip.grip_experiments(["homogeneous"], (0.35,))
+    rows = rows_of(
+        experiments, lambda row: retracted(light if (row["grip"], row["path"]) == ("light", "ctc") else 0.28)
+    )
+    assert [claim.agrees for claim in reported("light_grip", rows).claims] == agrees
+
+
+def test_of_grips_that_hold_nowhere_nothing_is_said() -> None:
+    experiments = light_grip.grip_experiments(["homogeneous"], (0.35, 0.25))
+    rows = rows_of(experiments, lambda row: retracted(0.28, "slip" if row["position"] == 0.25 else "ok"))
+    assert all("25 %" not in claim.found for claim in reported("light_grip", rows).claims)
+    rows = rows_of(experiments, lambda _: retracted(0.28, "slip"))
+    assert reported("light_grip", rows).claims == []
+
+
 def test_percent() -> None:
     assert percent(0.25) == "25 %"

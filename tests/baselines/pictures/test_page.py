@@ -18,6 +18,7 @@ from baselines.pictures.page.motion import SQUEEZE, depth_rows
 from baselines.pictures.page.pack import motion_data, packed, unpacked
 from baselines.pictures.page.surface import surface_of
 from planners.certify import Certificate
+from retract_env.drawing.palette import METHODS, rgb
 from retract_env.grasp import Grasp, JawPath
 from retract_env.mesh import RESOLUTIONS, section_mesh
 from retract_env.scene import Scene, load_scene
@@ -129,6 +130,37 @@ def test_the_motion_is_the_certificates(ten: Judged) -> None:
     assert depth[-1].max() > depth[0].max()  # what is pressed between the jaws bulges
     assert motion.time[0] == 0 and motion.time[-1] == 1
     assert motion.time[motion.progress == 1] == pytest.approx([SQUEEZE])
+
+
+def test_what_ends_while_the_jaws_close_does_not_last_longer(ten: Judged) -> None:
+    motion = replace(followed(*ten), progress=np.array([0.0, 0.25, 0.5]))
+    assert motion.time == pytest.approx([0, SQUEEZE / 4, SQUEEZE / 2])
+    assert replace(motion, progress=np.array([0.0, 1.0])).time == pytest.approx([0, SQUEEZE])
+    assert replace(motion, progress=np.array([0.0])).time.tolist() == [0]
+
+
+def contrast(one: str, other: str) -> float:
+    """Of two colours, as WCAG 2 has it."""
+
+    def luminance(colour: str) -> float:
+        parts = np.array(rgb(colour)) / 255
+        linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+        return float(linear @ (0.2126, 0.7152, 0.0722))
+
+    dark, light = sorted((luminance(one), luminance(other)))
+    return (light + 0.05) / (dark + 0.05)
+
+
+@pytest.mark.parametrize("scheme", [0, 1])
+def test_small_words_and_curves_stand_out_in_both_schemes(scheme: int, text: str) -> None:
+    """WCAG 2, 1.4.3 and 1.4.11."""
+    roots = re.findall(r":root \{(.*?)\}", text, re.DOTALL)
+    assert len(roots) == 2
+    colours = dict(re.findall(r"--([\w-]+): (#\w{6});", "".join(roots[: scheme + 1])))
+    for ground in ("back", "card", "squeeze"):
+        assert contrast(colours["soft"], colours[ground]) >= 4.5
+    for curve in METHODS:
+        assert contrast(curve, colours["card"]) >= 3
 
 
 def test_what_is_packed_is_the_motion_to_two_micrometres(ten: Judged) -> None:

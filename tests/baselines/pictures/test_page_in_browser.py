@@ -217,6 +217,9 @@ def test_a_candidate_opens_and_moves_by_the_rod(tab: Any) -> None:
     tab.click("button[data-tried]")
     tab.wait_for_selector(".note:not([hidden]) >> text=not certified")
     assert tab.inner_text(".view .badge") == "not certified: by the rod"
+    label = tab.get_attribute(".view canvas", "aria-label")
+    assert "first <b>, candidate 1. not certified: by the rod." in label
+    assert "first <b>, candidate 1: strain" in tab.get_attribute("#time", "aria-valuetext")
     tab.evaluate("retract.stop(); retract.goTo(1)")
     drawn(tab)
     fine = places(tab, 1)[:, :2]
@@ -226,6 +229,8 @@ def test_a_candidate_opens_and_moves_by_the_rod(tab: Any) -> None:
     tab.click(".note:not([hidden]) button")
     tab.wait_for_selector(".note", state="hidden")
     assert tab.inner_text(".view .badge") == "certified"
+    assert "first <b>. certified." in tab.get_attribute(".view canvas", "aria-label")
+    assert "first <b>: strain" in tab.get_attribute("#time", "aria-valuetext")
 
 
 def test_what_can_be_used_has_a_name(tab: Any) -> None:

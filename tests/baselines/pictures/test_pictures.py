@@ -15,10 +15,11 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.collections import TriMesh
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 from PIL import Image, ImageSequence
 
-from baselines.pictures.drawing import path_steps, strain_map
+from baselines.pictures.drawing import JawArtist, draw_surroundings, path_steps, strain_map, view_limits
 from baselines.pictures.film import animate_retraction
 from baselines.pictures.steps import shown_frames
 from baselines.pictures.stiffness import ranked
@@ -269,6 +270,38 @@ def test_histories_are_the_frames_own(ten: Plan) -> None:
     for i, values in enumerate(wanted):
         curves = [np.asarray(line.get_ydata(), dtype=float) for line in axes_of(figure, f"history {i}").lines]
         assert any(np.array_equal(curve, values, equal_nan=True) for curve in curves)
+
+
+def test_a_clearance_that_is_asked_for_is_the_limit_that_is_drawn(ten: Plan) -> None:
+    panel = axes_of(retraction_figure(with_certificate(ten, clearance_limit=5e-3)), "history 2")
+    assert any(np.allclose(np.asarray(line.get_ydata(), float), 5.0) for line in panel.lines)
+    assert any(text.get_text() == "in view above 5" for text in panel.texts)
+    assert panel.get_ylim()[0] < 5 < panel.get_ylim()[1]
+
+
+def test_a_dollar_in_a_scenes_name_is_one(ten: Plan, tmp_path: Path) -> None:
+    """Matplotlib would take what stands between two of them for a formula, and fail on this one."""
+    scene = ten.scene.model_copy(update={"name": r"$\frac$ flap"})
+    draw_retraction(dataclasses.replace(ten, scene=scene), tmp_path / "retraction.png")
+    assert (tmp_path / "retraction.png").stat().st_size > 0
+
+
+@pytest.mark.parametrize("bed", [True, False])
+def test_a_flap_that_sags_where_there_is_no_bed_is_in_view(ten: Plan, bed: bool) -> None:
+    scene, frame = ten.scene.model_copy(update={"bed": bed}), ten.certificate.frames[-1]
+    below = dataclasses.replace(frame, points=np.asarray(frame.points) - (0, 0.02))
+    left, right, low, high = view_limits(scene, [below])
+    assert (low < 1e3 * below.points[:, 1].min()) == (not bed)
+    axes = Figure().add_subplot()
+    draw_surroundings(axes, scene, (left, right, low, high))
+    hatched = [p for p in axes.patches if isinstance(p, Rectangle) and p.get_y() < 0]
+    assert len(hatched) == bed
+    jaws = JawArtist(axes, scene)
+    for finger in jaws.fingers:
+        box = finger.get_clip_box()
+        assert box is not None
+        cut = box.transformed(axes.transData.inverted()).y0
+        assert cut == pytest.approx(0.0 if bed else axes.get_ylim()[0], abs=1e-6)
 
 
 def test_friction_that_no_coefficient_meets_stays_on_the_page(ten: Plan) -> None:

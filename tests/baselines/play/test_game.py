@@ -198,6 +198,13 @@ def test_a_new_flap_is_compared_anew_and_an_old_one_not_again(tmp_path: Path) ->
     assert "swift" in played.lines.comparison and len(rival.asked) == 3
 
 
+@pytest.mark.parametrize("deal", [None, lambda: random_scene(4)])
+def test_a_new_flap_is_offered_where_there_is_one(tmp_path: Path, deal: Any) -> None:
+    lines = game(tmp_path, deal=deal).lines
+    offered = ["new flap" in said for said in (" ".join(lines.keys), lines.pad)]
+    assert offered == [deal is not None] * 2
+
+
 def test_a_random_flap_is_the_one_that_the_environment_draws(tmp_path: Path) -> None:
     dealt = random_scene(12)
     played = game(tmp_path, dealt=dealt)

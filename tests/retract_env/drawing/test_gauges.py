@@ -9,7 +9,7 @@ import pygame
 import pytest
 from numpy.typing import NDArray
 
-from retract_env.drawing.gauges import ROOM, STEPS, Strip
+from retract_env.drawing.gauges import ROOM, STEPS, Strip, gauges_of
 from retract_env.drawing.lettering import Lettering
 from retract_env.drawing.palette import GROUND, INK, LIMIT, SIGHT, VALUE, Bytes, rgb
 from retract_env.drawing.raster import Canvas
@@ -93,6 +93,13 @@ def test_clearance_turns_green_when_the_target_is_in_view() -> None:
     for clearance, colour in ((-0.02, VALUE), (-1e-6, VALUE), (0.0, SIGHT), (0.004, SIGHT)):
         heights.append(Drawn(state(clearance=clearance)).filled(CLEARANCE_BAR, colour))
     assert heights[0] > 0 and heights == sorted(heights)
+
+
+@pytest.mark.parametrize("asked", [0.0, 0.004, 0.05])
+def test_a_clearance_that_is_asked_for_is_where_the_gauge_turns_green(asked: float) -> None:
+    rise = gauges_of(SCENE.model_copy(update={"limits": Limits(clearance=asked)}))[CLEARANCE_BAR]
+    assert rise.share(asked) == rise.limit_share < 1
+    assert [rise.colour(asked + more) for more in (-1e-6, 0.0)] == [VALUE, SIGHT]
 
 
 def test_friction_without_bound_fills_its_bar() -> None:
