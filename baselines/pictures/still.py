@@ -247,7 +247,7 @@ def _draw_motion(axes: Axes, plan: Plan, limits: tuple[float, float, float, floa
     if reach / 2 - scene.line_of_sight.target[0] * MM > 4.0:
         bed_note(axes, reach / 2, "hidden", GREY)
     axes.set_xlabel("mm from the fixed end")
-    axes.set_ylabel("mm above the bed")
+    axes.set_ylabel("mm above the bed" if scene.bed else "mm above B")
     axes.yaxis.set_label_coords(-0.045, 0.5)
     axes.set_title(
         "How the flap moves: at rest and on the way (pale), at the end (full colour). "
