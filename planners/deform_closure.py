@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from retract_env.fem.elements import quadratic_depth, symmetric_depth
 from retract_env.fem.linear import cholesky
 from retract_env.fem.model import FlapModel
-from retract_env.fem.prism import Prism, depth_breaks
+from retract_env.fem.prism import Prism, level_count
 from retract_env.grasp import Grasp
 from retract_env.mesh import Resolution, jaw_range, section_mesh
 from retract_env.objectives import worst_mean
@@ -132,9 +132,8 @@ def stable_pairs(found: Closure) -> tuple[NDArray[np.intp], Array]:
 def _resolution(scene: Scene, nodes: int) -> Resolution:
     """Elements of one size all over, for that many nodes over half the depth."""
     tissue = scene.tissue
-    levels = 2 * len(depth_breaks(tissue.depth, tissue.height, scene.jaws.depth)) - 2
     # quadratic triangles have two nodes each
-    area = tissue.length * tissue.height / (nodes / levels / 2)
+    area = tissue.length * tissue.height / (nodes / level_count(scene) / 2)
     size = math.sqrt(4 * area / math.sqrt(3))
     return Resolution("closure", patch=1, edge=1.0, growth=0.5, bulk=size / tissue.height)
 

@@ -5,7 +5,7 @@ No number depends on what is here, so that rows that took hours outlive a better
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -279,14 +279,11 @@ def _statement(rows: Sequence[Row]) -> Said | None:
     held = [r for r in stated if r["holds"]]
     if not held:
         return None
-    told: Callable[[list[Row]], str] = lambda mine: share(  # noqa: E731
-        sum(r["draws"] - r["survived"] for r in mine), sum(r["draws"] for r in mine)
-    )
+    failed, draws = sum(r["draws"] - r["survived"] for r in held), sum(r["draws"] for r in held)
     wrong = sum((r["draws"] - r["survived"]) / r["draws"] > r["bound"] for r in stated)
-    failed = sum(r["draws"] - r["survived"] for r in held) / sum(r["draws"] for r in held)
     return (
         "the robust statement holds: of plans said to fail in at most 1 % of cases, no more do",
-        f"of {len(held)} such plans {told(held)} draws fail; of all {len(stated)} plans with a statement "
-        f"{wrong} fail on a greater part of their draws than their bound says, chance included",
-        _agrees(failed <= 0.01, failed <= 0.02),
+        f"of {len(held)} such plans {share(failed, draws)} draws fail; of all {len(stated)} plans with a "
+        f"statement {wrong} fail on a greater part of their draws than their bound says, chance included",
+        _agrees(failed / draws <= 0.01, failed / draws <= 0.02),
     )

@@ -45,11 +45,15 @@ def depth_breaks(depth: float, height: float, jaw_depth: float | None, per_heigh
     return np.concatenate([[0.0], *parts])
 
 
+def level_count(scene: Scene, per_height: float = 0.8) -> int:
+    """Levels of nodes that a `Prism` has: two of its first layer, and two more of each other one."""
+    tissue = scene.tissue
+    return 2 * len(depth_breaks(tissue.depth, tissue.height, scene.jaws.depth, per_height)) - 2
+
+
 def unknowns(section: SectionMesh, scene: Scene, per_height: float = 0.8) -> int:
     """How many a `Prism` has."""
-    tissue = scene.tissue
-    levels = 2 * len(depth_breaks(tissue.depth, tissue.height, scene.jaws.depth, per_height)) - 2
-    return (3 * levels - 1) * len(section.points)
+    return (3 * level_count(scene, per_height) - 1) * len(section.points)
 
 
 class Prism:
