@@ -38,7 +38,7 @@ LIFTED = 5.0
 """Friction limit on that mesh, to see how much is needed; the highest that a scene may have."""
 FIRMEST = 0.9
 """Greatest compression, over the flap's height."""
-MENDABLE = ("ok", "slip", "release", "strain", "diverged")
+MENDABLE = ("ok", "slip", "release", "strain", "torn", "diverged")
 """Reasons that may change with the compression; others end the search."""
 SHUT = 1.05
 """No grip is sought between one that slips and one that breaks another limit, once they are this close."""
@@ -72,9 +72,10 @@ def least_compression(start: float, most: float, allowed: float) -> Compressions
     for _ in range(MOST_TRIALS):
         verdict, x = (yield delta), math.log(delta)
         friction = verdict.required_friction
-        torn = verdict.reason == "strain" and friction > allowed  # a lighter grip slips, a firmer tears
+        # a lighter grip slips, a firmer one strains more
+        stuck = verdict.reason in ("strain", "torn") and friction > allowed
         restless = verdict.reason == "diverged" and verdict.progress == 0  # whatever the jaws do
-        if torn or restless or verdict.reason not in MENDABLE:
+        if stuck or restless or verdict.reason not in MENDABLE:
             why = verdict.reason
             break
         y = math.log(min(max(friction, 1e-3 * allowed), 1e3 * allowed))

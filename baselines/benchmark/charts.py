@@ -31,6 +31,7 @@ FAILED = {
     "slip": "#e69f00",
     "release": "#cc79a7",
     "contact": "#56b4e9",
+    "torn": "#a33b20",
     "diverged": "#6d757d",
     "unsure": "#b9a7dd",
     "unsolved": "#7f9fb0",

@@ -23,8 +23,8 @@ from stable_baselines3.common.vec_env import VecNormalize
 from baselines.learning.envs import seed_of
 from baselines.learning.fields import RecipeError
 from baselines.learning.policies import Policy
-from planners.certify import FAILURES
 from retract_env.physics.registry import PHYSICS
+from retract_env.task.rules import FAILURES
 from retract_env.threads import limit_torch
 
 if TYPE_CHECKING:
@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 State = dict[str, Any]
 OnStep = Callable[[int], None]
 
+UNSOLVED = (*filter(None, FAILURES), "not_visible")
+"""Why an episode ended without success."""
 ACTIVATIONS = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}
 
 
@@ -218,7 +220,7 @@ class _Watch(BaseCallback):
         logger = self.logger
         failures = ["" if info["is_success"] else info["failure"] or "not_visible" for info in infos]
         self._ended.update(failures)
-        sums = {f"failures/{reason}": float(failures.count(reason)) for reason in FAILURES}
+        sums = {f"failures/{reason}": float(failures.count(reason)) for reason in UNSOLVED}
         for name in infos[0]["episode_terms"]:
             sums[f"rewards/{name}"] = sum(info["episode_terms"][name] for info in infos)
         for name, value in sums.items():

@@ -58,6 +58,7 @@ VERDICTS = {
     "slip": "Not certified, a jaw slips",
     "release": "Not certified, a jaw lets go",
     "contact": "Not certified, tissue runs into itself or the fixed block",
+    "torn": "Not certified, tissue tears",
     "diverged": "Not certified, no equilibrium found",
 }
 

@@ -27,6 +27,7 @@ JUDGED = {
     "slip": "the tissue slips in the jaws",
     "release": "a jaw loses the tissue",
     "contact": "the tissue runs into itself or the fixed block",
+    "torn": "the tissue tears",
     "diverged": "no equilibrium was found",
 }
 """Why a certificate says no, by its name for it."""

@@ -13,7 +13,7 @@ from retract_env import __version__
 from retract_env.mesh import SectionMesh
 from retract_env.physics.base import TissueState
 
-REASONS = ("ok", "not_visible", "strain", "slip", "release", "contact", "diverged")
+REASONS = ("ok", "not_visible", "strain", "slip", "release", "contact", "torn", "diverged")
 FAILURES = tuple(reason for reason in REASONS if reason != "ok")
 """Those of retractions that are not certified."""
 ADDED = ("peaks", "clearance_limit")

@@ -41,6 +41,12 @@ MOST_LOOKS = 120
 """Equilibria between increments; a retraction that jumps about more than these can follow has diverged."""
 FARTHEST = 10.0
 """m, from the origin, that a path may lead; jaws as far away as that hold nothing any more."""
+TORN = 2.0
+"""Strain of a piece of tissue, three times as long as at rest, that nothing soft survives: elastin breaks at
+1.5 (Gosline et al. 2002, Table 1). No limit, as beside a rigid pad's edge it grows with the mesh; but where
+no equilibrium is found it says why."""
+LOST = ("torn", "diverged")
+"""Reasons of retractions for which no further equilibrium is found."""
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -127,7 +133,7 @@ class Retraction:
             first = physics.reset()
         except Diverged:
             first = physics.state()  # under a part of its weight, which may tear it already
-            found = "strain" if first.worst_strain > self.limits.strain else "diverged"
+            found = "strain" if first.worst_strain > self.limits.strain else self._lost(physics.displacements)
         self.frames, self._shapes = [first], [physics.displacements]
         self._measure(first)
         for part in np.linspace(0, 1, SQUEEZE_INCREMENTS + 1)[1:]:
@@ -189,7 +195,7 @@ class Retraction:
                 self.reason = "pruned"
                 return
             found = self._advance(target)
-            if found is not None and found != "diverged":
+            if found is not None and found not in LOST:
                 found = self._first()
             whole.append(self.frames[-1].progress)
             on_increment()
@@ -222,14 +228,19 @@ class Retraction:
                 yield k - 1 + (i + 1) / pieces
 
     def _advance(self, progress: float) -> str | None:
-        """Move the jaws on; what that state comes to, or "diverged"."""
+        """Move the jaws on; what that state comes to, or one of LOST."""
         assert self.physics is not None
         try:
             state = self.physics.move_to(self.path.pose_at(progress), progress)
         except Diverged:
-            return "diverged"
+            return self._lost(self.physics.displacements)
         self._put(len(self.frames), state, self.physics.displacements)
         return state.verdict(self.limits)
+
+    def _lost(self, shape: NDArray[np.float64]) -> str:
+        """Why there is no equilibrium after that of a shape (n,) m, one of LOST."""
+        assert self.physics is not None
+        return "torn" if self.physics.greatest_strain(shape) > TORN else "diverged"
 
     def _put(self, place: int, state: TissueState, shape: NDArray[np.float64]) -> None:
         self.frames.insert(place, state)
@@ -302,7 +313,7 @@ class Retraction:
             part = min(0.95, max(0.05, low / (low - high)))
             progress = hidden.progress + (seen.progress - hidden.progress) * part
             found = self._advance(progress)
-            if found == "diverged":  # what was reached counts
+            if found in LOST:  # what was reached counts
                 break
             if found not in (None, "ok"):
                 return str(found)
@@ -337,7 +348,7 @@ class Retraction:
                 state, shape = self._between(place)
             except Diverged:
                 self._cut(place)
-                return "diverged"
+                return self._lost(self._shapes[-1])
             self._put(place, state, shape)
             on_increment()
             if state.verdict(self.limits) is not None:

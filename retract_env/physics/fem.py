@@ -358,6 +358,10 @@ class FemPhysics:
         """(n,) m, all unknowns of the last good state, in the numbering of `model.prism`."""
         return self._u.copy()
 
+    def greatest_strain(self, u: Array) -> float:
+        """Of any point, in a shape u (n,) m; beside a jaw's edge it grows as the mesh becomes finer."""
+        return max(float(strains.max()) for strains in self.model.assembly.strains(u))
+
     def state(self) -> TissueState:
         """What there is to see and to feel now."""
         start = time.perf_counter()

@@ -79,6 +79,11 @@ REASONS: dict[str, tuple[Scene, Grasp, JawPath | None]] = {
     "strain on the way to where no equilibrium is": (a_scene(), a_grasp(), TWISTED),
     "slip": (a_scene(friction=0.1), a_grasp(), None),
     "release": (a_scene(strain=0.9), a_grasp(), OPENED),
+    "torn by jaws a fiftieth as wide as the flap is high": (
+        a_scene(strain=0.95).model_copy(update={"jaws": Jaws(width=HEIGHT / 50)}),
+        a_grasp(part=0.8),
+        None,
+    ),
     "not_visible without a motion": (a_scene(), a_grasp(), poses(a_grasp())),
     "not_visible": (a_scene(), a_grasp(), LIFTED),
 }
@@ -141,7 +146,7 @@ def check_consistent(certificate: Certificate) -> None:
 def test_an_impossible_motion_ends_with_a_reason(motion: tuple[float, float, float, float]) -> None:
     scene = a_scene(strain=0.99)
     certificate = judged(scene, a_grasp(), poses(a_grasp(), motion))
-    assert certificate.reason in ("strain", "slip", "release", "contact", "diverged")
+    assert certificate.reason in ("strain", "slip", "release", "contact", "torn", "diverged")
     check_consistent(certificate)
 
 
