@@ -32,7 +32,7 @@ LIMIT = 1800.0
 MOST_GROWTH = 512
 """MB"""
 LONGEST_STEP = {"rod": 5.0, "fem": 180.0, "bullet": 120.0}
-"""s of processor time that a reset or a step may take. On finite elements: some 300 Newton iterations are
+"""s of processor time that a reset or a step may take. On finite elements: some 380 Newton iterations are
 allowed on a flap twelve times as deep as long, of 21,000 unknowns, each with one or two factorisations of
 .25 s."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -46,6 +47,7 @@ def evaluate_command(
         from baselines.benchmark.splits import load_benchmark
         from baselines.benchmark.tasks import tasks_of
 
+        import_module("rliable.metrics")  # what scores need, before the work and not after
         about = load_benchmark(frozen_scenes(benchmark))
         if physics is not None:
             about = about.played_in(physics)
