@@ -201,7 +201,7 @@ def _grasp(data: object) -> Grasp:
         )
     if faults := unknown_keys(data, names):
         raise ValueError("plan.grasp" + faults[0])
-    return Grasp(**{name: float(data[name]) for name in names})
+    return Grasp(**{name: data[name] for name in names})
 
 
 class NoPlan(Exception):

@@ -49,7 +49,7 @@ class Foreseen:
     """eps_max on finite elements is no less, but for one flap in a hundred"""
     excess: float = -math.inf
     """by how much it breaks the limit that it breaks most, as a part of it, even with the margins; negative
-    where it may hold, inf where it never shows the target"""
+    where it may hold, inf where it never shows the target, or a jaw lets go"""
 
     @property
     def hopeless(self) -> bool:

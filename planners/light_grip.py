@@ -68,13 +68,14 @@ def least_compression(start: float, most: float, allowed: float) -> Compressions
     loose: tuple[float, float] | None = None  # logarithms of compression and friction
     firm: tuple[float, float] | None = None
     broken, why = math.log(most), "slip"  # the firmest grip, and what a firmer one breaks
-    delta = start
+    delta = held = start
     for _ in range(MOST_TRIALS):
         verdict, x = (yield delta), math.log(delta)
         friction = verdict.required_friction
         # a lighter grip slips, a firmer one strains more
         stuck = verdict.reason in ("strain", "torn") and friction > allowed
-        restless = verdict.reason == "diverged" and verdict.progress == 0  # whatever the jaws do
+        # before the jaws have closed at all: whatever they do
+        restless = verdict.reason in ("strain", "diverged") and verdict.progress == 0
         if stuck or restless or verdict.reason not in MENDABLE:
             why = verdict.reason
             break
@@ -82,7 +83,7 @@ def least_compression(start: float, most: float, allowed: float) -> Compressions
         if friction > allowed:
             loose = x, y
         elif verdict.reason == "ok":
-            firm = x, y
+            firm, held = (x, y), delta
             if friction >= allowed * (1 - TOLERANCE):
                 return delta, "ok"
         else:
@@ -99,7 +100,7 @@ def least_compression(start: float, most: float, allowed: float) -> Compressions
         else:
             x = broken - math.log(2)
         delta = math.exp(x)
-    return (math.exp(firm[0]), "ok") if firm else (delta, why)
+    return (held, "ok") if firm else (delta, why)
 
 
 class LightGrip(Contestant):

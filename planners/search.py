@@ -38,7 +38,7 @@ from retract_env.scene import Scene
 from retract_env.threads import cores
 
 PRUNING = ("rod", "squeeze", "bound", "none")
-CONFIRMING = frozenset(REASONS) - {"ok", "diverged"}
+CONFIRMING = frozenset(REASONS) - {"ok", "torn", "diverged"}
 """Reasons that confirm what the rod says of a retraction that fails; others say nothing of the motion."""
 Grip = tuple[Grasp, bytes]
 """What the jaws' closing depends on: the grasp and the closed pose."""

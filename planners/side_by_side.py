@@ -31,17 +31,19 @@ def side_by_side(
     """work of every item, `workers` at a time, each in a thread; results in the order of the items.
 
     Where one raises, or an interrupt reaches the thread that waits, all others end at their next call of
-    `stop`; then that first exception is raised.
+    `stop`; then that exception is raised, of several that of the first item.
     """
     futures: list[Future[Result]] = []
     with ThreadPoolExecutor(max_workers=workers) as pool:
         try:
             futures = [pool.submit(work, item) for item in items]
             done, _ = wait(futures, return_when=FIRST_EXCEPTION)
-            failed = [f for f in futures if f in done and f.exception() is not None]
-            # who stopped because of another's exception has nothing to say
-            for future in sorted(failed, key=lambda f: isinstance(f.exception(), Stopped)):
-                future.result()
+            if any(future.exception() is not None for future in done):
+                # who stopped because of another's exception may end before it, and has nothing to say
+                stop.now = True
+                wait([future for future in futures if not future.cancel()])
+                failed = [e for f in futures if not f.cancelled() and (e := f.exception()) is not None]
+                raise min(failed, key=lambda error: isinstance(error, Stopped))
         except BaseException:
             stop.now = True
             pool.shutdown(wait=True, cancel_futures=True)

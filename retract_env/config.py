@@ -341,7 +341,8 @@ def read_yaml(path: str | PathLike[str]) -> Any:
         where = f", line {mark.line + 1}, column {mark.column + 1}" if mark else ""
         problem = getattr(error, "problem", None) or getattr(error, "reason", None) or str(error)
         raise ConfigError(f"not readable as YAML{where}: {problem}") from None
-    except (ValueError, RecursionError) as error:  # no such date, an endless integer
+    except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
+        # no such date, an endless integer, a tag on what it does not fit
         raise ConfigError(f"not readable as YAML: {error}") from None
     if data is None:
         raise ConfigError("the file is empty")
@@ -352,10 +353,11 @@ def read_json(path: str | PathLike[str]) -> Any:
     """Plain data in a JSON file whose keys do not repeat. Raises ConfigError as `read_yaml`."""
 
     def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        data = dict(pairs)
-        if len(data) < len(pairs):
-            twice = next(key for k, (key, _) in enumerate(pairs) if key in dict(pairs[:k]))
-            raise ValueError(f"key {brief(twice)} given twice")
+        data: dict[str, Any] = {}
+        for key, value in pairs:
+            if key in data:
+                raise ValueError(f"key {brief(key)} given twice")
+            data[key] = value
         return data
 
     text = _read_text(path)

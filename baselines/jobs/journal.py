@@ -54,9 +54,12 @@ class Journal:
     """Rows by key in a file that only grows; None keeps them in memory alone."""
 
     def __init__(self, path: Path | None):
-        """Reads what is there; a last line that was cut off is dropped. Raises JournalError, OSError."""
+        """Reads what is there but a last line that was cut off. Raises JournalError, OSError."""
         self.path = path
         self.rows: dict[str, Row] = {}
+        self._cut: int | None = None
+        """bytes of whole lines, where one follows that is not; it goes as a row is added: who only reads may
+        read beside one that writes"""
         if path is None or not path.exists():
             return
         text = path.read_bytes()
@@ -68,12 +71,15 @@ class Journal:
             except (ValueError, TypeError, KeyError, RecursionError):
                 raise JournalError(f"{path}, line {number}: not a line of a journal") from None
         if len(whole) < len(text):
-            os.truncate(path, len(whole))
+            self._cut = len(whole)
 
     def add(self, key: str, row: Row) -> None:
         """Keep a row; it is on the disk when this returns."""
         self.rows[key] = row
         if self.path is not None:
+            if self._cut is not None:
+                os.truncate(self.path, self._cut)
+                self._cut = None
             with self.path.open("ab") as file:
                 file.write(json.dumps({"key": key, "row": row}, allow_nan=False).encode() + b"\n")
                 file.flush()

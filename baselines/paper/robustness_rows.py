@@ -11,6 +11,7 @@ import argparse
 import multiprocessing
 import os
 import sys
+import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -32,6 +33,7 @@ from baselines.paper.studies.robustness import (
     robustness_experiments,
 )
 from baselines.paper.study import write
+from retract_env.mesh import RESOLUTIONS
 from retract_env.threads import cores, single_threaded
 
 
@@ -111,13 +113,24 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--out", type=Path, default=Path("results"), help="where .robustness.jsonl lies")
     parser.add_argument("--workers", type=int, default=cores(), help="processes, a core each")
     parser.add_argument("--seconds", type=float, default=1e9, help="of wall-clock, at most")
-    parser.add_argument("--resolution", default="fine", help="that plans are certified at")
+    parser.add_argument(
+        "--resolution", choices=list(RESOLUTIONS), default="fine", help="that plans are certified at"
+    )
     parser.add_argument("--draws", type=int, default=DRAWS, help="for each plan, on standard scenes")
     parser.add_argument("--flap-draws", type=int, default=FLAP_DRAWS, help="likewise, on test flaps")
     parser.add_argument("--scenes", nargs="*", help='homogeneous, ..., "test 0", ...; default: all')
     parser.add_argument("--methods", nargs="*", help="default: all")
     parser.add_argument("--report", action="store_true", help="write the page of what is known as well")
     options = parser.parse_args(arguments)
+    for name, least in (("workers", 1), ("seconds", 0), ("draws", 1), ("flap_draws", 1)):
+        if not (value := getattr(options, name)) >= least:  # nan too
+            parser.error(f"--{name.replace('_', '-')} {value:g}, allowed from {least} on")
+    options.seconds = min(options.seconds, threading.TIMEOUT_MAX)
+    every = robustness_experiments(STANDARD, FLAPS, options.draws, options.flap_draws)
+    for option, label in (("methods", "method"), ("scenes", "scene")):
+        known = list(dict.fromkeys(str(one.label[label]) for one in every))
+        if unknown := [name for name in getattr(options, option) or () if name not in known]:
+            parser.error(f"--{option} {', '.join(map(repr, unknown))}, allowed {', '.join(known)}")
     options.out.mkdir(parents=True, exist_ok=True)
     path = options.out / f".{STUDY.name}.jsonl"
     journal = Journal(path)

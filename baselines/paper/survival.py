@@ -15,6 +15,7 @@ from planners import PLANNERS
 from planners.base import NoPlan
 from planners.certify import Certificate, Robust, certify, stated
 from planners.certify.robust import outcome
+from planners.foresight import foresee
 from planners.paths import PATHS
 from retract_env.errors import MeshError
 from retract_env.grasp import Grasp, JawPath
@@ -68,10 +69,13 @@ def lightest(resolution: str, scene: Any, path: str, count: int, seed: int, hope
     try:
         grasp = PLANNERS[path](flap, resolution=resolution, workers=1, on_update=None).grasp
     except NoPlan as none:
-        known = [c for c in none.candidates if math.isfinite(c.required_friction)]
+        # by the rod, which follows each path to its end
+        foreseen = foresee(flap, [(c.grasp, c.path) for c in none.candidates])
+        known = [(f.friction, c.grasp) for f, c in zip(foreseen, none.candidates, strict=True)]
+        known = [(friction, grasp) for friction, grasp in known if math.isfinite(friction)]
         if not known:
             return without_plan() | {"part": None, "ladder": []}
-        grasp = min(known, key=lambda c: c.required_friction).grasp
+        grasp = min(known, key=lambda one: one[0])[1]
     allowed = [part for part in PARTS if part * grasp.compression <= MOST * flap.tissue.height]
     ladder: list[Row] = []
 

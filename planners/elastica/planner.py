@@ -70,8 +70,8 @@ def optimise(
 def jaw_forces(frames: Sequence[TissueState]) -> Array:
     """(4, POSES) N, of the jaws on the tissue, tangential and normal, as `Optimum.forces`.
 
-    frames: along a path of `elastica.jaw_path`. For each jaw and pose the frame counts, of those around it,
-    whose friction is greatest; poses that were not reached are like the last frame.
+    frames: along a path of `elastica.program.jaw_path`. For each jaw and pose the frame counts, of those
+    around it, whose friction is greatest; poses that were not reached are like the last frame.
     """
     moved = [f for f in frames if f.progress >= 1]
     progress, friction = np.array([f.progress for f in moved]), np.array([f.required_friction for f in moved])

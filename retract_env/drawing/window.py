@@ -2,22 +2,31 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import pygame
 
 from retract_env.drawing.palette import Bytes
 
 
 class Window:
-    """Shows frames on the screen, at most `fps` a second. pygame has one window: the newest takes it over."""
+    """Shows frames on the screen, at most `fps` a second. pygame has one window: who shows takes it over."""
+
+    _shown: ClassVar[Window | None] = None
+    """whose it is now"""
 
     def __init__(self, size: tuple[int, int], fps: float, title: str = "tissue retraction"):
         """size: width and height, px. Raises pygame.error where there is no screen."""
-        self.size, self.fps = size, fps
-        pygame.display.init()
-        self._screen = pygame.display.set_mode(size)
-        pygame.display.set_caption(title)
+        self.size, self.fps, self._title = size, fps, title
+        self._take_over()
         self._clock = pygame.time.Clock()
         self._open = True
+
+    def _take_over(self) -> None:
+        pygame.display.init()
+        self._screen = pygame.display.set_mode(self.size)
+        pygame.display.set_caption(self._title)
+        Window._shown = self
 
     @property
     def open(self) -> bool:
@@ -33,6 +42,8 @@ class Window:
             raise ValueError(f"frame.shape = {frame.shape}, allowed {(self.size[1], self.size[0], 3)}")
         if not self._open:
             return False
+        if Window._shown is not self:
+            self._take_over()
         if any(event.type == pygame.QUIT for event in pygame.event.get()):
             self.close()
             return False
@@ -42,7 +53,8 @@ class Window:
         return True
 
     def close(self) -> None:
-        """Close the window; again does no harm."""
-        if self._open:
-            self._open = False
+        """Close the window, if it is not another's by now; again does no harm."""
+        self._open = False
+        if Window._shown is self:
+            Window._shown = None
             pygame.display.quit()

@@ -12,3 +12,6 @@ DEPTHS = Range(0.0, 0.5, "m", "(]")
 """Of jaws, too."""
 MODULI = Range(100.0, 1e8, "Pa")
 SLOPES = Range(0.0, math.pi / 2, "rad", "(]")
+CAMERA_HEIGHTS = Range(1e-3, 10.0, "m")
+CAMERA_DISTANCE = 0.1
+"""m, from the target, where nothing else is said."""

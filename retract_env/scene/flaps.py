@@ -1,8 +1,8 @@
 """Random flaps as plain arrays, drawn by one compiled kernel: what `sample_scene` makes its scenes of.
 
 Whoever needs thousands of flaps, as a batch of environments does, takes the arrays as they are: those of the
-scenes that `sample_scene` would have made of the same states, to the last bit. `draw_flap` does not check
-that a scene may have the values that the ranges lead to; `sample_scene` does.
+scenes that `sample_scene` would have made of the same states, to the last bit. That a scene may have the
+values that are drawn is for `SceneRanges` to see to; `draw_flap` does so for the veins.
 
 Arrays of a flap that may have up to `most` veins, the upper end of the range of their number:
 
@@ -21,8 +21,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from retract_env.scene.bounds import CAMERA_DISTANCE
 from retract_env.scene.pcg64 import State, integers, random, uniform
-from retract_env.scene.veins import MIN_GAP
+from retract_env.scene.veins import MIN_CORNER, MIN_EDGE, MIN_GAP
 
 if TYPE_CHECKING:
     from retract_env.scene.sampling import SceneRanges
@@ -46,7 +47,7 @@ _SHRINK = np.array([0.85**k for k in range(_TRIES // 20)])
 """By what a vein's size is multiplied that has found no room, after every 20 tries."""
 _GAP = 2 * MIN_GAP  # m; rounding the outlines leaves MIN_GAP of it
 _DIGITS = 1e6  # outlines are rounded to 1 um
-_DISTANCE = 0.1  # m, from the camera to the target; `LineOfSight.at` has it too
+_SHARPEST = math.tan(MIN_CORNER)
 _LEFT, _RIGHT, _LOW, _HIGH = range(4)
 _WIDE = _GAP * (1 + 1e-9)
 """m, where it is rounding that decides, distances are found in full; beyond this they need not be."""
@@ -79,8 +80,8 @@ def draw_flap(
     target = -length * uniform(row, ranges[_TARGET, 0], ranges[_TARGET, 1]) + 0.0  # no -0.0, as in scenes
     slope = uniform(row, ranges[_SLOPE, 0], ranges[_SLOPE, 1])
     scalars[LENGTH], scalars[HEIGHT], scalars[DEPTH], scalars[MODULUS] = length, height, depth, modulus
-    scalars[CAMERA_X] = target - _DISTANCE * math.cos(slope)
-    scalars[CAMERA_Y] = _DISTANCE * math.sin(slope)
+    scalars[CAMERA_X] = target - CAMERA_DISTANCE * math.cos(slope)
+    scalars[CAMERA_Y] = CAMERA_DISTANCE * math.sin(slope)
     scalars[TARGET_X], scalars[SLOPE] = target, slope
 
     count = integers(row, np.int64(ranges[_VEINS, 0]), np.int64(ranges[_VEINS, 1]))
@@ -142,7 +143,8 @@ def _place(
     boxes: Array,
     new: int,
 ) -> bool:
-    """Write outline `new`, an oval at a random place clear of those before it; False if none has room."""
+    """Write outline `new`, an oval at a random place clear of those before it; False if none has room, or
+    only one that no vein may have."""
     oval = outlines[new]
     for attempt in range(_TRIES):
         size = _SHRINK[attempt // 20] * height
@@ -166,9 +168,27 @@ def _place(
             ):
                 clear = False
                 break
-        if clear:
+        if clear and _is_sound(oval, n):
             return True
     return False
+
+
+@njit(cache=True, nogil=True)
+def _is_sound(outline: Array, n: int) -> bool:
+    """Whether an oval of n corners is as thick as a vein has to be, its edges as long and its corners as
+    blunt (`veins.simple`)."""
+    area, around = 0.0, 0.0
+    for k in range(n):
+        before, after = outline[k - 1 if k else n - 1], outline[k + 1 if k + 1 < n else 0]
+        x, y = outline[k, 0], outline[k, 1]
+        ahead_x, ahead_y, back_x, back_y = after[0] - x, after[1] - y, before[0] - x, before[1] - y
+        edge = math.sqrt(ahead_x * ahead_x + ahead_y * ahead_y)
+        along, across = ahead_x * back_x + ahead_y * back_y, ahead_x * back_y - ahead_y * back_x
+        if edge < MIN_EDGE or abs(across) < _SHARPEST * along:
+            return False
+        area += x * after[1] - y * after[0]
+        around += edge
+    return bool(area >= MIN_GAP * around)  # twice the area over the outline
 
 
 @njit(cache=True, nogil=True)

@@ -31,7 +31,15 @@ from retract_env.config import (
     refusal,
 )
 from retract_env.errors import ConfigError, SceneError
-from retract_env.scene.bounds import DEPTHS, HEIGHTS, LENGTHS, MODULI, SLOPES
+from retract_env.scene.bounds import (
+    CAMERA_DISTANCE,
+    CAMERA_HEIGHTS,
+    DEPTHS,
+    HEIGHTS,
+    LENGTHS,
+    MODULI,
+    SLOPES,
+)
 from retract_env.scene.uncertainty import Uncertainty
 from retract_env.scene.veins import MOST_VEINS, MOST_VERTICES, Outline, fitted, simple
 
@@ -47,7 +55,7 @@ Coordinate = Annotated[float, Range(-10.0, 10.0, "m")]
 Vertex = Annotated[tuple[Coordinate, Coordinate], Paired]
 Modulus = Annotated[float, MODULI]
 Poisson = Annotated[float, Range(0.0, 0.49)]
-Camera = Annotated[tuple[Coordinate, Annotated[float, Range(1e-3, 10.0, "m")]], Paired]
+Camera = Annotated[tuple[Coordinate, Annotated[float, CAMERA_HEIGHTS]], Paired]
 Target = Annotated[tuple[Coordinate, Annotated[float, Range(0.0, 0.0, "m")]], Paired]
 
 
@@ -118,7 +126,7 @@ class LineOfSight(_Part):
         return self
 
     @classmethod
-    def at(cls, target_x: float, slope: float, distance: float = 0.1) -> LineOfSight:
+    def at(cls, target_x: float, slope: float, distance: float = CAMERA_DISTANCE) -> LineOfSight:
         """Line to (target_x, 0) m that climbs at slope rad towards -x, the camera at distance m."""
         for name, value, allowed in (
             ("slope", slope, SLOPES),

@@ -6,12 +6,20 @@ import math
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
-from pydantic import BeforeValidator
+from pydantic import BeforeValidator, model_validator
 
 from retract_env.config import Frozen, Range, brief, refusal
 from retract_env.errors import ConfigError, SceneError
 from retract_env.scene import Jaws, LineOfSight, Scene, Tissue, Vein
-from retract_env.scene.bounds import DEPTHS, HEIGHTS, LENGTHS, MODULI, SLOPES
+from retract_env.scene.bounds import (
+    CAMERA_DISTANCE,
+    CAMERA_HEIGHTS,
+    DEPTHS,
+    HEIGHTS,
+    LENGTHS,
+    MODULI,
+    SLOPES,
+)
 from retract_env.scene.veins import MOST_VEINS
 
 if TYPE_CHECKING:
@@ -44,7 +52,8 @@ Ends = Annotated[tuple[float, float], BeforeValidator(_ends)]
 
 
 def _within(allowed: Range) -> BeforeValidator:
-    """Both ends have to be what a scene may have, as nothing that is drawn is looked at again."""
+    """Both ends have to be what a scene may have: batches of environments do not look again at what is
+    drawn."""
 
     def check(value: Any) -> Any:
         for end in _ends(value):
@@ -83,7 +92,24 @@ class SceneRanges(Frozen):
     target: _Fraction = (0.1, 0.4)
     """Distance of B from the fixed end, as a fraction of the length."""
     slope: _Slopes = (math.radians(30.0), math.radians(70.0))
-    """Of the line of sight, rad."""
+    """Of the line of sight, rad; with a camera that is never inside the flap."""
+
+    @model_validator(mode="after")
+    def _lines_may_be_drawn(self) -> SceneRanges:
+        if self.target in ((0.0, 0.0), (1.0, 1.0)):
+            raise refusal(f".target = {brief(self.target)}, allowed a place between both ends of the flap")
+        least, most = self.slope
+        if (fault := CAMERA_HEIGHTS.fault(CAMERA_DISTANCE * math.sin(least))) is not None:
+            raise refusal(f".slope = {brief(self.slope)}: the height of the camera{fault}")
+        # of slopes that bring it over the longest flap the flattest is lowest
+        reach = self.length[1] * (1 - self.target[0]) / CAMERA_DISTANCE
+        over = max(least, math.acos(min(1.0, reach)))
+        if over <= most and CAMERA_DISTANCE * math.sin(over) <= self.height[1]:
+            raise refusal(
+                f".slope = {brief(self.slope)}: from {over:.3g} rad the camera may be inside a flap that is "
+                f"{self.length[1]:g} m long and {self.height[1]:g} m high"
+            )
+        return self
 
 
 def sample_scene(rng: np.random.Generator, ranges: SceneRanges | None = None) -> Scene:
@@ -102,7 +128,9 @@ def sample_scene(rng: np.random.Generator, ranges: SceneRanges | None = None) ->
     line = LineOfSight.at(flap["target_x"], flap["slope"])
     if placed < count:
         size = f"{flap['length']:g} x {flap['height']:g} m"
-        raise SceneError(f"no room for vein {placed + 1} of {count} in a flap of {size}")
+        raise SceneError(
+            f"no room for vein {placed + 1} of {count} in a flap of {size}, or it would be too thin"
+        )
     points, ends = [(x, y) for x, y in vertices.tolist()], offsets.tolist()
     tissue = Tissue(
         length=flap["length"],

@@ -77,6 +77,7 @@ def change(data: Any, place: tuple[Any, ...], value: Any) -> Any:
         (("grasp", "compression"), True, "plan.grasp: allowed is"),
         (("grasp", "compression"), None, "plan.grasp: allowed is"),
         (("grasp", "x"), math.nan, "grasp.x = nan m"),
+        (("grasp", "x"), -(10**400), "grasp.x = -1000"),
         (("grasp", "x"), 0.02, "grasp.x = 0.02 m, allowed below 0 m"),
         (("path", "kind"), 7, "path.kind = 7"),
         (("path", "waypoints", 3), [0.0, 1.0], "path.waypoints = not numbers in equal rows"),

@@ -268,6 +268,24 @@ def test_the_first_error_comes_out_and_the_others_stop() -> None:
         stop()
 
 
+def test_an_error_comes_out_though_others_end_before_it() -> None:
+    """Who stops because of it may be over first: an update says that all are to stop, then its error goes up
+    through its own thread."""
+    stop = Stop()
+
+    def work(item: int) -> None:
+        if item == 1:
+            stop.now = True
+            time.sleep(0.05)
+            raise ZeroDivisionError
+        while True:
+            stop()
+            time.sleep(1e-3)
+
+    with pytest.raises(ZeroDivisionError):
+        side_by_side(work, range(3), 3, stop)
+
+
 def test_results_come_in_the_order_of_the_items() -> None:
     assert side_by_side(lambda k: k**2, range(5), 3, Stop()) == [0, 1, 4, 9, 16]
 

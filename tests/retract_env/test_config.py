@@ -60,6 +60,13 @@ def test_a_yaml_bomb_is_refused_before_it_goes_off(tmp_path: Path, text: str, me
     assert message in said
 
 
+@pytest.mark.parametrize("tagged", ['!!int ""', '!!float ""', "!!bool foo", "!!timestamp foo"])
+def test_a_tag_on_what_it_does_not_fit_is_refused(tmp_path: Path, tagged: str) -> None:
+    file = tmp_path / "scene.yaml"
+    file.write_text(f"name: {tagged}\n")
+    assert refused(read_yaml, file).startswith("not readable as YAML: ")
+
+
 def test_aliases_and_merge_keys_of_a_reasonable_size_are_read(tmp_path: Path) -> None:
     file = tmp_path / "scene.yaml"
     file.write_text("- &v {outline: [0, 1], modulus: 2}\n- {<<: *v, modulus: 3}\n" + "- *v\n" * 100)
@@ -94,6 +101,7 @@ def test_devices_and_pipes_are_refused(tmp_path: Path, read: Callable[[Any], Any
     [
         (b"", "not readable as JSON: Expecting value"),
         (b'{"x": 1, "y": 2, "x": 3}', "not readable as JSON: key 'x' given twice"),
+        (b'{"' + b'":1,"'.join(b"%d" % k for k in range(50_000)) + b'":1,"7":1}', "key '7' given twice"),
         (b"[" * 200_000, "not readable as JSON: maximum recursion depth exceeded"),
         (b"\xff", "not UTF-8 text (byte 0)"),
         (None, "no such file or directory"),

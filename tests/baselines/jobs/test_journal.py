@@ -44,6 +44,15 @@ def test_equal_tasks_are_done_once(tmp_path: Path) -> None:
     assert traces(tmp_path) == [0]
 
 
+def test_who_only_reads_a_journal_leaves_it(tmp_path: Path) -> None:
+    """What ends in the middle of a line may be another's who is writing."""
+    path = tmp_path / "journal.jsonl"
+    text = b'{"key": "a", "row": {"value": 1}}\n{"key": "b", "row": {"val'
+    path.write_bytes(text)
+    assert Journal(path).rows == {"a": {"value": 1}}
+    assert path.read_bytes() == text
+
+
 def test_a_key_does_not_depend_on_the_order_of_the_fields() -> None:
     assert key_of({"a": 1, "b": [2]}) == key_of({"b": [2], "a": 1}) != key_of({"a": 1, "b": [3]})
 

@@ -220,6 +220,26 @@ def test_rows_are_done_side_by_side() -> None:
     assert list(side_by_side(works, 1, 0.0)) == []
 
 
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        (["--methods", "swfit"], "--methods 'swfit', allowed swift, "),
+        (["--scenes", "test0"], "--scenes 'test0', allowed homogeneous, "),
+        (["--workers", "0"], "--workers 0, allowed from 1 on"),
+        (["--seconds", "nan"], "--seconds nan, allowed from 0 on"),
+        (["--resolution", "ultra"], "invalid choice: 'ultra'"),
+    ],
+)
+def test_what_the_study_does_not_have_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], asked: list[str], said: str
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        robustness_rows.main(["--out", str(tmp_path / "here"), *asked])
+    assert ended.value.code == 2
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "here").exists()
+
+
 def test_what_the_journal_has_is_not_done_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     done: list[int] = []
 

@@ -39,6 +39,21 @@ def test_a_window_shows_frames_until_the_user_closes_it(dummy_window: Callable[.
     window.close()
 
 
+def test_windows_take_the_screen_over_from_each_other(dummy_window: Callable[..., Window]) -> None:
+    """As of an environment that trains and one that is opened and closed beside it to evaluate."""
+    frame, wide = np.zeros((48, 64, 3), dtype=np.uint8), np.zeros((32, 96, 3), dtype=np.uint8)
+    first, second = dummy_window(), dummy_window((96, 32))
+    for window, shown in ((first, frame), (second, wide), (first, frame)):
+        assert window.show(shown)
+        screen = pygame.display.get_surface()
+        assert screen is not None and screen.get_size() == window.size
+    second.close()
+    assert first.show(frame) and not second.show(wide)
+    third = dummy_window()
+    third.close()
+    assert first.show(frame)
+
+
 def test_a_window_takes_frames_of_its_size_only(dummy_window: Callable[..., Window]) -> None:
     with pytest.raises(ValueError, match=r"frame.shape = \(64, 48, 3\), allowed \(48, 64, 3\)"):
         dummy_window().show(np.zeros((64, 48, 3), dtype=np.uint8))

@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from retract_env.errors import SceneError
 from retract_env.scene import LineOfSight, Scene, flaps, pcg64, sample_scene
 from retract_env.scene.sampling import SceneRanges
 from retract_env.scene.veins import MIN_GAP
@@ -29,7 +30,7 @@ WIDE = SceneRanges(
     height=(4e-3, 2e-2),
     depth=(1e-3, 0.1),
     target=(0.0, 0.9),
-    slope=(0.1, 1.5),
+    slope=(0.25, 1.5),
 )
 
 
@@ -110,3 +111,21 @@ def too_close(p: Array, q: Array) -> bool:
     boxes = [np.array(flaps._bounds(outline, len(outline))) for outline in (p, q)]
     found = flaps._boxes_within_gap(*boxes) and flaps._within_gap(p, len(p), boxes[0], q, len(q), boxes[1])
     return bool(found)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.floats(0.005, 0.3), st.floats(0.005, 0.3), st.floats(0.5, 1.5))
+def test_what_is_drawn_a_scene_may_have(seed: int, width: float, height: float, slope: float) -> None:
+    """Thin veins, steep and level lines: either there is no room for a flap's veins, or it is a scene's.
+    Batches of environments take flaps as they are drawn."""
+    ranges = SceneRanges(
+        veins=(1, 6), vein_width=(width, 3 * width), vein_height=(height, 3 * height), slope=(slope, 1.5)
+    )
+    rng = np.random.default_rng(seed)
+    row, arrays = pcg64.state_of(rng), flaps.room(6)
+    count, placed = flaps.draw_flap(row, flaps.table(ranges), *arrays)
+    if placed < count:
+        with pytest.raises(SceneError, match="no room for vein"):
+            sample_scene(rng, ranges)
+    else:
+        sample_scene(rng, ranges)

@@ -81,6 +81,12 @@ def test_ranges_that_cannot_be_met_are_refused() -> None:
         ({"depth": (0.0, 0.004)}, "depth = 0.0 m, allowed (0, 0.5] m"),
         ({"target": (0.1, 1.1)}, "target = 1.1, allowed [0, 1]"),
         ({"slope": (0.5, 2.0)}, "slope = 2.0 rad, allowed (0, 1.5708] rad"),
+        ({"target": (0.0, 0.0)}, "target = (0.0, 0.0), allowed a place between both ends"),
+        ({"slope": (0.001, 1.0)}, "slope = (0.001, 1.0): the height of the camera = "),
+        (
+            {"length": (0.2, 0.4), "height": (0.01, 0.03), "slope": (0.05, 0.3)},
+            "slope = (0.05, 0.3): from 0.05 rad the camera may be inside a flap",
+        ),
     ],
     ids=lambda given: next(iter(given)) if isinstance(given, dict) else "",
 )
