@@ -223,7 +223,7 @@ def test_rows_are_done_side_by_side() -> None:
 @pytest.mark.parametrize(
     ("asked", "said"),
     [
-        (["--methods", "swfit"], "--methods 'swfit', allowed swift, "),
+        (["--methods", "swfit"], "--methods 'swfit', allowed eased, "),
         (["--scenes", "test0"], "--scenes 'test0', allowed homogeneous, "),
         (["--workers", "0"], "--workers 0, allowed from 1 on"),
         (["--seconds", "nan"], "--seconds nan, allowed from 0 on"),
