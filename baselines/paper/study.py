@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import io
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
@@ -14,7 +13,7 @@ import matplotlib
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from baselines.jobs.files import written_whole
+from baselines.jobs.files import csv_text, written_whole
 from baselines.jobs.journal import Row
 from baselines.jobs.version import code_version
 from baselines.paper.experiments import Experiment
@@ -106,12 +105,7 @@ def write(study: Study, rows: Sequence[Row], folder: Path, resolution: str, of: 
 
 def table_text(table: Sequence[Mapping[str, Any]]) -> str:
     """CSV; numbers with six digits."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(table[0]), lineterminator="\n")
-    writer.writeheader()
-    for row in table:
-        writer.writerow({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in row.items()})
-    return text.getvalue()
+    return csv_text([{k: f"{v:.6g}" if isinstance(v, float) else v for k, v in row.items()} for row in table])
 
 
 def page(study: Study, report: Report, resolution: str, unfinished: str = "") -> str:
