@@ -66,9 +66,9 @@ def least_compression(start: float, most: float, allowed: float) -> Compressions
     """
     aim = math.log(allowed * (1 - TOLERANCE / 2))
     loose: tuple[float, float] | None = None  # logarithms of compression and friction
-    firm: tuple[float, float] | None = None
+    firm: tuple[float, float, float] | None = None  # and the compression itself
     broken, why = math.log(most), "slip"  # the firmest grip, and what a firmer one breaks
-    delta = held = start
+    delta = start
     for _ in range(MOST_TRIALS):
         verdict, x = (yield delta), math.log(delta)
         friction = verdict.required_friction
@@ -83,7 +83,7 @@ def least_compression(start: float, most: float, allowed: float) -> Compressions
         if friction > allowed:
             loose = x, y
         elif verdict.reason == "ok":
-            firm, held = (x, y), delta
+            firm = x, y, delta
             if friction >= allowed * (1 - TOLERANCE):
                 return delta, "ok"
         else:
@@ -100,7 +100,7 @@ def least_compression(start: float, most: float, allowed: float) -> Compressions
         else:
             x = broken - math.log(2)
         delta = math.exp(x)
-    return (held, "ok") if firm else (delta, why)
+    return (firm[2], "ok") if firm else (delta, why)
 
 
 class LightGrip(Contestant):

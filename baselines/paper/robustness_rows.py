@@ -85,9 +85,8 @@ def side_by_side(
                 process.kill()
 
 
-def chosen(options: argparse.Namespace) -> list[Experiment]:
+def chosen(every: Sequence[Experiment], options: argparse.Namespace) -> list[Experiment]:
     """The study's experiments that were asked for, and for which all is installed."""
-    every = robustness_experiments(STANDARD, FLAPS, options.draws, options.flap_draws)
     missing = {method for method, module in NEEDS.items() if find_spec(module) is None}
     return [
         one
@@ -98,10 +97,9 @@ def chosen(options: argparse.Namespace) -> list[Experiment]:
     ]
 
 
-def written(options: argparse.Namespace, journal: Path) -> list[Path]:
+def written(every: Sequence[Experiment], options: argparse.Namespace, journal: Path) -> list[Path]:
     """Table, picture and page of the rows that are known."""
     known = Journal(journal).rows
-    every = robustness_experiments(STANDARD, FLAPS, options.draws, options.flap_draws)
     keys = [key_of(one.work(options.resolution)) for one in every]
     rows = [{**one.label, **known[key]} for one, key in zip(every, keys, strict=True) if key in known]
     return write(STUDY, rows, options.out, options.resolution, len(every)) if rows else []
@@ -134,7 +132,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     path = options.out / f".{STUDY.name}.jsonl"
     journal = Journal(path)
-    experiments = chosen(options)
+    experiments = chosen(every, options)
     works = [one.work(options.resolution) for one in experiments]
     left = [k for k, work in enumerate(works) if key_of(work) not in journal.rows]
     _say(f"retract {code_version()}: {len(left)} of {len(works)} rows to do")
@@ -150,7 +148,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except BrokenProcessPool:
         _say("a worker died; what was under way is done when called again")
     if options.report:
-        _say("written: " + ", ".join(str(p) for p in written(options, path)))
+        _say("written: " + ", ".join(str(p) for p in written(every, options, path)))
 
 
 if __name__ == "__main__":

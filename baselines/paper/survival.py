@@ -71,8 +71,8 @@ def lightest(resolution: str, scene: Any, path: str, count: int, seed: int, hope
     except NoPlan as none:
         # by the rod, which follows each path to its end
         foreseen = foresee(flap, [(c.grasp, c.path) for c in none.candidates])
-        known = [(f.friction, c.grasp) for f, c in zip(foreseen, none.candidates, strict=True)]
-        known = [(friction, grasp) for friction, grasp in known if math.isfinite(friction)]
+        pairs = zip(foreseen, none.candidates, strict=True)
+        known = [(f.friction, c.grasp) for f, c in pairs if math.isfinite(f.friction)]
         if not known:
             return without_plan() | {"part": None, "ladder": []}
         grasp = min(known, key=lambda one: one[0])[1]
